@@ -1,0 +1,134 @@
+"""DDPG on continuous actions, shaped or not: the learner of Fig. 1, right."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+
+from upslope.agents.dqn import adam
+from upslope.agents.experience import Experience, greedy_return
+from upslope.learner import AbstractLearner
+from upslope.networks import Actor, Critic
+from upslope.policies import Deterministic, Noisy
+from upslope.shaping import Shaping, shape
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Key, Metrics, Scalar, Task, Transition
+
+
+@dataclass(frozen=True)
+class DDPGConfig:
+    """Settings of DDPG, the same for every arm of a comparison.
+
+    Attributes:
+        hidden: widths of the hidden layers of both networks.
+        learning_rate: Adam's step size, for both.
+        decay_updates: bring the step size linearly to zero over so many updates; 0 keeps it.
+        batch_size: transitions per update.
+        replay_capacity: transitions remembered.
+        warmup_steps: steps of the untrained noisy policy before the first update.
+        steps_per_update: environment steps before each update.
+        noise: standard deviation of the exploration noise, in units of the full force.
+        target_rate: share of the networks that moves into the target networks at each update.
+        saturation_penalty: weight of the squared tanh pre-activation in the actor's loss; keeps the tanh alive.
+        evaluation_episodes: noiseless episodes behind each reported return.
+    """
+
+    hidden: tuple[int, ...] = (32, 32)
+    learning_rate: float = 1e-3
+    decay_updates: int = 3000
+    batch_size: int = 64
+    replay_capacity: int = 10_000
+    warmup_steps: int = 128
+    steps_per_update: int = 1
+    noise: float = 0.3
+    target_rate: float = 0.01
+    saturation_penalty: float = 0.03
+    evaluation_episodes: int = 3
+
+
+class DDPGState(eqx.Module):
+    """All that changes while learning."""
+
+    key: Key
+    actor: Actor
+    critic: Critic
+    target_actor: Actor
+    target_critic: Critic
+    optimisers: tuple[optax.OptState, optax.OptState]
+    experience: Experience
+
+
+class DDPG(AbstractLearner):
+    """DDPG on one task, with rewards shaped where the batch is used."""
+
+    family: AbstractFamily
+    task: Task
+    shaping: Shaping | None
+    config: DDPGConfig = eqx.field(static=True, default=DDPGConfig())
+
+    def init(self, key: Key) -> DDPGState:
+        key, actor_key, critic_key, start_key, warmup_key = jax.random.split(key, 5)
+        family, config = self.family, self.config
+        sizes = (family.observation_shape[0], family.actions, config.hidden, family.observation_scale)
+        actor, critic = Actor(actor_key, *sizes), Critic(critic_key, *sizes)
+        experience = Experience.start(start_key, family, self.task, config.replay_capacity)
+        experience = experience.extend(
+            warmup_key, family, self.task, Noisy(actor, config.noise), config.warmup_steps
+        )
+        optimisers = (self._adam().init(actor), self._adam().init(critic))
+        return DDPGState(key, actor, critic, actor, critic, optimisers, experience)
+
+    def step(self, state: DDPGState) -> tuple[DDPGState, Metrics]:
+        key, act_key, sample_key = jax.random.split(state.key, 3)
+        config = self.config
+        policy = Noisy(state.actor, config.noise)
+        experience = state.experience.extend(act_key, self.family, self.task, policy, config.steps_per_update)
+        batch = shape(experience.replay.sample(sample_key, config.batch_size), self.shaping)
+
+        critic_loss, gradient = jax.value_and_grad(critic_error)(
+            state.critic, state.target_actor, state.target_critic, batch
+        )
+        change, critic_optimiser = self._adam().update(gradient, state.optimisers[1])
+        critic = optax.apply_updates(state.critic, change)
+
+        actor_loss, gradient = jax.value_and_grad(actor_error)(
+            state.actor, critic, batch, config.saturation_penalty
+        )
+        change, actor_optimiser = self._adam().update(gradient, state.optimisers[0])
+        actor = optax.apply_updates(state.actor, change)
+
+        following = DDPGState(
+            key,
+            actor,
+            critic,
+            optax.incremental_update(actor, state.target_actor, config.target_rate),
+            optax.incremental_update(critic, state.target_critic, config.target_rate),
+            (actor_optimiser, critic_optimiser),
+            experience,
+        )
+        metrics = {"critic_loss": critic_loss, "actor_loss": actor_loss, "mean_reward": jnp.mean(batch.reward)}
+        return following, metrics
+
+    def report(self, state: DDPGState) -> dict[str, Scalar]:
+        key = jax.random.fold_in(state.key, 0)
+        policy = Deterministic(state.actor)
+        return {"return": greedy_return(key, self.family, self.task, policy, self.config.evaluation_episodes)}
+
+    def _adam(self) -> optax.GradientTransformation:
+        return adam(self.config.learning_rate, self.config.decay_updates)
+
+
+def critic_error(critic: Critic, target_actor: Actor, target_critic: Critic, batch: Transition) -> Scalar:
+    """Mean squared TD error of the critic, the bootstrap by the target actor's action."""
+    next_q = jax.vmap(target_critic)(batch.next_obs, jax.vmap(target_actor)(batch.next_obs))
+    q = jax.vmap(critic)(batch.obs, batch.action)
+    return jnp.mean((batch.reward + batch.discount * next_q - q) ** 2)
+
+
+def actor_error(actor: Actor, critic: Critic, batch: Transition, saturation_penalty: float) -> Scalar:
+    """Minus the critic's value of the actor's actions, with a penalty that keeps the tanh from saturating."""
+    pre_activation = jax.vmap(actor.pre_activation)(batch.obs)
+    q = jax.vmap(critic)(batch.obs, jnp.tanh(pre_activation))
+    return -jnp.mean(q) + saturation_penalty * jnp.mean(pre_activation**2)

@@ -1,0 +1,113 @@
+"""Vanilla DQN, shaped or not: the learner of Fig. 1, middle."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+
+from upslope.agents.experience import Experience, greedy_return
+from upslope.learner import AbstractLearner
+from upslope.losses import td_loss
+from upslope.networks import QNetwork
+from upslope.policies import EpsilonGreedy, Greedy
+from upslope.shaping import Shaping, shape
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Key, Metrics, Scalar, Task, Transition
+
+
+@dataclass(frozen=True)
+class DQNConfig:
+    """Settings of DQN, the same for every arm of a comparison.
+
+    Attributes:
+        hidden: widths of the hidden layers.
+        learning_rate: Adam's step size.
+        decay_updates: bring the step size linearly to zero over so many updates; 0 keeps it.
+        batch_size: transitions per update.
+        replay_capacity: transitions remembered.
+        warmup_steps: random steps before the first update.
+        steps_per_update: environment steps before each update.
+        epsilon: share of random actions.
+        target_rate: share of the network that moves into the target network at each update.
+        evaluation_episodes: greedy episodes behind each reported return.
+    """
+
+    hidden: tuple[int, ...] = (32, 32)
+    learning_rate: float = 2e-3
+    decay_updates: int = 0
+    batch_size: int = 128
+    replay_capacity: int = 10_000
+    warmup_steps: int = 128
+    steps_per_update: int = 1
+    epsilon: float = 0.1
+    target_rate: float = 0.01
+    evaluation_episodes: int = 3
+
+
+class DQNState(eqx.Module):
+    """All that changes while learning."""
+
+    key: Key
+    network: QNetwork
+    target: QNetwork
+    optimiser: optax.OptState
+    experience: Experience
+
+
+class DQN(AbstractLearner):
+    """DQN on one task, with rewards shaped where the batch is used."""
+
+    family: AbstractFamily
+    task: Task
+    shaping: Shaping | None
+    config: DQNConfig = eqx.field(static=True, default=DQNConfig())
+
+    def init(self, key: Key) -> DQNState:
+        key, network_key, start_key, warmup_key = jax.random.split(key, 4)
+        network = QNetwork(
+            network_key,
+            self.family.observation_shape[0],
+            self.family.actions,
+            self.config.hidden,
+            self.family.observation_scale,
+        )
+        experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity)
+        experience = experience.extend(
+            warmup_key, self.family, self.task, EpsilonGreedy(network, 1.0), self.config.warmup_steps
+        )
+        return DQNState(key, network, network, self._adam().init(network), experience)
+
+    def step(self, state: DQNState) -> tuple[DQNState, Metrics]:
+        key, act_key, sample_key = jax.random.split(state.key, 3)
+        policy = EpsilonGreedy(state.network, self.config.epsilon)
+        experience = state.experience.extend(
+            act_key, self.family, self.task, policy, self.config.steps_per_update
+        )
+        batch = shape(experience.replay.sample(sample_key, self.config.batch_size), self.shaping)
+        loss, gradient = jax.value_and_grad(td_error)(state.network, state.target, batch)
+        change, optimiser = self._adam().update(gradient, state.optimiser)
+        network = optax.apply_updates(state.network, change)
+        target = optax.incremental_update(network, state.target, self.config.target_rate)
+        metrics = {"td_loss": loss, "mean_reward": jnp.mean(batch.reward)}
+        return DQNState(key, network, target, optimiser, experience), metrics
+
+    def report(self, state: DQNState) -> dict[str, Scalar]:
+        key = jax.random.fold_in(state.key, 0)
+        policy = Greedy(state.network)
+        return {"return": greedy_return(key, self.family, self.task, policy, self.config.evaluation_episodes)}
+
+    def _adam(self) -> optax.GradientTransformation:
+        return adam(self.config.learning_rate, self.config.decay_updates)
+
+
+def td_error(network: QNetwork, target: QNetwork, batch: Transition) -> Scalar:
+    """Mean of Eq. 5 over a batch, the bootstrap by the target network."""
+    q, next_q = jax.vmap(network)(batch.obs), jax.vmap(target)(batch.next_obs)
+    return jnp.mean(jax.vmap(td_loss)(q, batch.action, batch.reward, batch.discount, next_q))
+
+
+def adam(learning_rate: float, decay_updates: int) -> optax.GradientTransformation:
+    """Adam, its step size fixed or brought linearly to zero."""
+    return optax.adam(optax.linear_schedule(learning_rate, 0.0, decay_updates) if decay_updates else learning_rate)

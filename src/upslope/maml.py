@@ -1,0 +1,102 @@
+"""Model-agnostic meta-learning, Eqs. 2 and 3: for any loss, any number of inner steps, full graph or first order."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from upslope.errors import UpslopeError
+from upslope.types import Scalar
+
+Params = TypeVar("Params")
+Data = TypeVar("Data")
+
+
+def descend(params: Params, gradient: Params, step_size: float | Scalar) -> Params:
+    """One step of gradient descent: params − step_size·gradient, leaf by leaf."""
+    return jax.tree.map(lambda p, g: p - step_size * g, params, gradient)
+
+
+def adapt(
+    loss: Callable[[Params, Data], Scalar],
+    params: Params,
+    data: Data,
+    *,
+    step_size: float | Scalar,
+    steps: int = 1,
+    first_order: bool = False,
+) -> Params:
+    """Eq. 2, N times: φ ← φ − α·∇L(φ), from φ = θ.
+
+    Args:
+        loss: L of one task; a function of the parameters and that task's data.
+        params: θ.
+        data: the task's samples, the same for each of the N steps.
+        step_size: α.
+        steps: N ≥ 1.
+        first_order: treat the inner gradients as constants, so that no second derivative is taken through φ(θ).
+
+    Raises:
+        UpslopeError: N < 1.
+    """
+    if steps < 1:
+        raise UpslopeError(f"inner_steps is {steps}, but adapting takes at least one step: give N >= 1.")
+    gradient_of = jax.grad(loss)
+    for _ in range(steps):
+        gradient = gradient_of(params, data)
+        if first_order:
+            gradient = jax.lax.stop_gradient(gradient)
+        params = descend(params, gradient, step_size)
+    return params
+
+
+def meta_loss(
+    inner_loss: Callable[[Params, Data], Scalar],
+    outer_loss: Callable[[Params, Params, Data], Scalar],
+    params: Params,
+    data: Data,
+    *,
+    step_size: float | Scalar,
+    steps: int = 1,
+    first_order: bool = False,
+) -> Scalar:
+    """The objective under ∇ in Eq. 3: E_i of ``outer_loss(θ, φ_i, data_i)``, with φ_i adapted by Eq. 2.
+
+    MAML's own outer loss is L_i(φ_i); Algorithm 1's is the distance of Q_θ and Q_φ (Eq. 7).
+
+    Args:
+        data: samples with a leading axis of tasks ``[tasks, ...]``.
+    """
+
+    def loss_of_task(task_data: Data) -> Scalar:
+        adapted = adapt(inner_loss, params, task_data, step_size=step_size, steps=steps, first_order=first_order)
+        return outer_loss(params, adapted, task_data)
+
+    return jnp.mean(jax.vmap(loss_of_task)(data))
+
+
+def outer_step(
+    inner_loss: Callable[[Params, Data], Scalar],
+    params: Params,
+    data: Data,
+    *,
+    inner_step_size: float | Scalar,
+    outer_step_size: float | Scalar,
+    steps: int = 1,
+    first_order: bool = False,
+) -> Params:
+    """Eq. 3: θ ← θ − β·∇_θ E_i L_i(φ_i), by plain gradient descent over tasks ``[tasks, ...]``."""
+
+    def objective(theta: Params) -> Scalar:
+        return meta_loss(
+            inner_loss,
+            lambda _, phi, task_data: inner_loss(phi, task_data),
+            theta,
+            data,
+            step_size=inner_step_size,
+            steps=steps,
+            first_order=first_order,
+        )
+
+    return descend(params, jax.grad(objective)(params), outer_step_size)

@@ -1,0 +1,201 @@
+"""Algorithm 1: meta-learning the potential function prior."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Int
+
+from upslope.errors import UpslopeError
+from upslope.learner import AbstractLearner
+from upslope.losses import prior_learning_loss, td_loss
+from upslope.maml import meta_loss
+from upslope.networks import DuelingQ
+from upslope.policies import EpsilonGreedy, Greedy
+from upslope.replay import Replay
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Key, Metrics, Scalar, Transition
+
+
+@dataclass(frozen=True)
+class MetaTrainingConfig:
+    """Settings of Algorithm 1. Each difference from the print is an option here, told in docs/deviations.md.
+
+    Attributes:
+        iterations: meta-iterations.
+        tasks: tasks sampled in each iteration.
+        steps_per_task: environment steps in each task's fresh replay.
+        batch_size: samples per task behind each φ_i; the outer loss uses the same ones.
+        hidden: widths of the hidden layers.
+        inner_step_size: α.
+        inner_steps: N.
+        outer_step_size: β at the start.
+        outer_step_size_end: β at the end; it falls linearly.
+        outer_optimiser: plain gradient descent, as printed, or Adam.
+        outer_updates: outer steps per iteration, each on a fresh draw from the same replays.
+        outer_target: whether gradients flow through Q_φ as the target of Eq. 7: "kept" (the literal reading, which
+            collapses) or "stopped".
+        first_order: with a kept target, whether second derivatives through φ(θ) are left out.
+        td_gradient: "semi" (TD targets are constants) or "full" (Eq. 5 differentiated on both sides).
+        target_decay: decay per iteration of the averaged network in the inner TD target; None for no such network.
+        epsilon: random-action share of the first and of the last task of a batch; those between are spaced evenly.
+        averaging_start: share of training after which θ is averaged into the prior; 1 takes the last θ, as printed.
+        evaluation_tasks: extra training tasks, never test tasks, on which snapshots are tried.
+        evaluation_episodes: greedy episodes on each of them.
+    """
+
+    iterations: int = 500
+    tasks: int = 10
+    steps_per_task: int = 200
+    batch_size: int = 64
+    hidden: tuple[int, ...] = (32, 32)
+    inner_step_size: float = 0.01
+    inner_steps: int = 1
+    outer_step_size: float = 0.005
+    outer_step_size_end: float = 0.0005
+    outer_optimiser: Literal["adam", "sgd"] = "adam"
+    outer_updates: int = 4
+    outer_target: Literal["stopped", "kept"] = "stopped"
+    first_order: bool = False
+    td_gradient: Literal["semi", "full"] = "semi"
+    target_decay: float | None = 0.9
+    epsilon: tuple[float, float] = (0.05, 0.95)
+    averaging_start: float = 1.0
+    evaluation_tasks: int = 20
+    evaluation_episodes: int = 3
+
+    def __post_init__(self) -> None:
+        for name in ("iterations", "tasks", "steps_per_task", "batch_size", "inner_steps", "outer_updates"):
+            if getattr(self, name) < 1:
+                raise UpslopeError(f"{name} is {getattr(self, name)}, but it counts something: give at least 1.")
+
+
+class MetaTrainingState(eqx.Module):
+    """All that changes while meta-training.
+
+    Attributes:
+        theta: θ.
+        target: the averaged network of the inner TD target.
+        average: mean of θ over the iterations since averaging began: the prior.
+    """
+
+    key: Key
+    theta: DuelingQ
+    target: DuelingQ
+    average: DuelingQ
+    optimiser: optax.OptState
+    iteration: Int[Array, ""]
+
+
+class TaskSamples(eqx.Module):
+    """What one φ_i and its outer loss are computed from: a batch of one task, and the inner TD targets' network."""
+
+    batch: Transition
+    next_q: Float[Array, "batch actions"] | None
+
+
+class MetaTraining(AbstractLearner):
+    """Algorithm 1. One step is one meta-iteration; the state's ``average`` is the prior."""
+
+    family: AbstractFamily
+    config: MetaTrainingConfig = eqx.field(static=True, default=MetaTrainingConfig())
+
+    def init(self, key: Key) -> MetaTrainingState:
+        key, network_key = jax.random.split(key)
+        family = self.family
+        theta = DuelingQ(
+            network_key, family.observation_shape[0], family.actions, self.config.hidden, family.observation_scale
+        )
+        return MetaTrainingState(
+            key, theta, theta, theta, self._optimiser().init(theta), jnp.zeros((), jnp.int32)
+        )
+
+    def step(self, state: MetaTrainingState) -> tuple[MetaTrainingState, Metrics]:
+        key, task_key, collect_key, update_key = jax.random.split(state.key, 4)
+        experience = self.collect(collect_key, self.family.sample_many(task_key, self.config.tasks), state.theta)
+
+        def update(carry: tuple[DuelingQ, Any], key: Key) -> tuple[tuple[DuelingQ, Any], Scalar]:
+            theta, optimiser = carry
+            samples = self.draw(key, experience, state.target)
+            loss, gradient = jax.value_and_grad(self.outer_loss)(theta, samples)
+            change, optimiser = self._optimiser().update(gradient, optimiser)
+            return (optax.apply_updates(theta, change), optimiser), loss
+
+        keys = jax.random.split(update_key, self.config.outer_updates)
+        (theta, optimiser), losses = jax.lax.scan(update, (state.theta, state.optimiser), keys)
+        following = MetaTrainingState(
+            key, theta, self._target(theta, state.target), self._average(theta, state), optimiser, state.iteration + 1
+        )
+        return following, {"outer_loss": jnp.mean(losses)}
+
+    def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition:
+        """Fresh replays D_i ``[tasks, steps, ...]``, ε-greedy by Q_θ, with its own ε for each task."""
+        reset_key, act_key = jax.random.split(key)
+        policy = EpsilonGreedy(theta, jnp.linspace(*self.config.epsilon, self.config.tasks))
+        running = self.family.reset(reset_key, tasks)
+        return self.family.collect(act_key, tasks, running, policy, self.config.steps_per_task)[1]
+
+    def draw(self, key: Key, experience: Transition, target: DuelingQ) -> TaskSamples:
+        """The samples of every task ``[tasks, batch, ...]``, used by the inner and the outer loss alike."""
+        keys = jax.random.split(key, self.config.tasks)
+        batch = jax.vmap(lambda key, data: Replay.of(data).sample(key, self.config.batch_size))(keys, experience)
+        if self.config.target_decay is None:
+            return TaskSamples(batch, None)
+        return TaskSamples(batch, jax.vmap(jax.vmap(target))(batch.next_obs))
+
+    def outer_loss(self, theta: DuelingQ, samples: TaskSamples) -> Scalar:
+        """Eq. 7 over tasks, with each φ_i adapted from θ by Eq. 2 on the TD error of Eq. 5."""
+        return meta_loss(
+            self.task_td_loss,
+            self.distance_to_posterior,
+            theta,
+            samples,
+            step_size=self.config.inner_step_size,
+            steps=self.config.inner_steps,
+            first_order=self.config.first_order,
+        )
+
+    def task_td_loss(self, network: DuelingQ, samples: TaskSamples) -> Scalar:
+        """Mean of Eq. 5 over one task's batch."""
+        batch = samples.batch
+        next_q = jax.vmap(network)(batch.next_obs) if samples.next_q is None else samples.next_q
+        if self.config.td_gradient == "semi":
+            next_q = jax.lax.stop_gradient(next_q)
+        q = jax.vmap(network)(batch.obs)
+        return jnp.mean(jax.vmap(td_loss)(q, batch.action, batch.reward, batch.discount, next_q))
+
+    def distance_to_posterior(self, theta: DuelingQ, phi: DuelingQ, samples: TaskSamples) -> Scalar:
+        """Mean of Eq. 7 over one task's batch."""
+        q_prior, q_posterior = jax.vmap(theta)(samples.batch.obs), jax.vmap(phi)(samples.batch.obs)
+        if self.config.outer_target == "stopped":
+            # Kept, the loss falls fastest by shrinking the tangent kernel: features die and V goes flat.
+            q_posterior = jax.lax.stop_gradient(q_posterior)
+        return jnp.mean(jax.vmap(prior_learning_loss)(q_prior, q_posterior, samples.batch.action))
+
+    def report(self, state: MetaTrainingState) -> dict[str, Any]:
+        """The prior as it stands, and its mean greedy return on extra training tasks."""
+        task_key, episode_key = jax.random.split(jax.random.fold_in(state.key, 0))
+        tasks = self.family.sample_many(task_key, self.config.evaluation_tasks)
+        tasks = jax.tree.map(lambda leaf: jnp.repeat(leaf, self.config.evaluation_episodes, axis=0), tasks)
+        returns = self.family.returns(episode_key, tasks, Greedy(state.average))
+        return {"return": jnp.mean(returns), "prior": state.average}
+
+    def _optimiser(self) -> optax.GradientTransformation:
+        config = self.config
+        schedule = optax.linear_schedule(
+            config.outer_step_size, config.outer_step_size_end, config.iterations * config.outer_updates
+        )
+        return optax.adam(schedule) if config.outer_optimiser == "adam" else optax.sgd(schedule)
+
+    def _target(self, theta: DuelingQ, target: DuelingQ) -> DuelingQ:
+        if self.config.target_decay is None:
+            return theta
+        return optax.incremental_update(theta, target, 1 - self.config.target_decay)
+
+    def _average(self, theta: DuelingQ, state: MetaTrainingState) -> DuelingQ:
+        since = state.iteration + 1 - int(self.config.averaging_start * self.config.iterations)
+        share = 1 / jnp.maximum(since, 1)
+        return optax.incremental_update(theta, state.average, share)

@@ -1,0 +1,1 @@
+"""The one loop, and all that knows of files, clocks and terminals."""

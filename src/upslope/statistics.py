@@ -1,0 +1,63 @@
+"""How results are summed up: median and quartiles (the paper's), IQM with stratified bootstrap intervals."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import trim_mean
+
+Scores = Float[np.ndarray, "seeds tasks evaluations"]
+Curve = Float[np.ndarray, "evaluations"]
+
+
+class Quartiles(NamedTuple):
+    """Lower quartile, median and upper quartile at each evaluation."""
+
+    q1: Curve
+    median: Curve
+    q3: Curve
+
+
+class Interval(NamedTuple):
+    """The interquartile mean at each evaluation, with the bounds of its 95 % bootstrap interval."""
+
+    iqm: Curve
+    low: Curve
+    high: Curve
+
+
+def quartiles(scores: Scores) -> Quartiles:
+    """Over all seeds and tasks together, at each evaluation."""
+    q1, median, q3 = np.percentile(_runs(scores), [25, 50, 75], axis=0)
+    return Quartiles(q1, median, q3)
+
+
+def interquartile_mean(scores: Scores) -> Curve:
+    """The mean of the middle half of all runs, at each evaluation."""
+    return trim_mean(_runs(scores), 0.25, axis=0)
+
+
+def bootstrap(scores: Scores, *, samples: int = 2000, confidence: float = 0.95, seed: int = 0) -> Interval:
+    """The interquartile mean with a percentile bootstrap interval, stratified by task.
+
+    Each resample draws, for every task on its own, as many seeds as there are, with replacement.
+    """
+    seeds, tasks, _ = scores.shape
+    rng = np.random.default_rng(seed)
+    resampled = np.empty((samples, scores.shape[2]))
+    for index in range(samples):
+        drawn = rng.integers(seeds, size=(seeds, tasks))
+        resampled[index] = interquartile_mean(scores[drawn, np.arange(tasks)])
+    tail = 50 * (1 - confidence)
+    low, high = np.percentile(resampled, [tail, 100 - tail], axis=0)
+    return Interval(interquartile_mean(scores), low, high)
+
+
+def first_at_least(updates: np.ndarray, curve: Curve, threshold: float) -> int | None:
+    """The first number of updates at which the curve is at or above the threshold; None if it never is."""
+    reached = np.flatnonzero(curve >= threshold)
+    return int(updates[reached[0]]) if reached.size else None
+
+
+def _runs(scores: Scores) -> Float[np.ndarray, "runs evaluations"]:
+    return np.asarray(scores).reshape(-1, scores.shape[-1])

@@ -1,0 +1,63 @@
+"""What a family of tasks p(T) is: a sampler of tasks that knows how to collect experience from them."""
+
+from abc import abstractmethod
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float
+
+from upslope.types import Key, Policy, Task, Transition
+
+Running = TypeVar("Running")
+
+
+class AbstractFamily(eqx.Module):
+    """A distribution over tasks that share a state space.
+
+    Learners ask it for tasks and for experience, in batches with a leading axis of tasks ``[n, ...]``;
+    how the environments run, compiled or on the host, is its own affair.
+
+    Attributes:
+        name: of the state space. A prior is for a name; the continuous twin of a family shares it.
+        gamma: γ of every task, written nowhere else.
+        observation_shape: of one observation.
+        observation_scale: brings each observation to the order of one.
+        actions: how many discrete actions, or how many numbers in a continuous one.
+        continuous: whether actions are numbers in [−1, 1].
+        max_steps: the longest episode.
+    """
+
+    name: eqx.AbstractVar[str]
+    gamma: eqx.AbstractVar[float]
+    observation_shape: eqx.AbstractVar[tuple[int, ...]]
+    observation_scale: eqx.AbstractVar[tuple[float, ...]]
+    actions: eqx.AbstractVar[int]
+    continuous: eqx.AbstractVar[bool]
+    max_steps: eqx.AbstractVar[int]
+
+    @abstractmethod
+    def sample(self, key: Key) -> Task:
+        """Draws one task."""
+
+    @abstractmethod
+    def reset(self, key: Key, tasks: Task) -> Any:
+        """Starts one environment for each of ``n`` stacked tasks; returns the running environments."""
+
+    @abstractmethod
+    def collect(
+        self, key: Key, tasks: Task, running: Any, policy: Policy, steps: int
+    ) -> tuple[Any, Transition]:
+        """Takes ``steps`` steps in each environment, with automatic reset.
+
+        Returns:
+            The running environments, and transitions ``[n, steps, ...]`` with raw rewards and true successors.
+        """
+
+    @abstractmethod
+    def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
+        """The raw, undiscounted return of one fresh episode on each of ``n`` stacked tasks."""
+
+    def sample_many(self, key: Key, count: int) -> Task:
+        """Draws ``count`` tasks as one stacked PyTree ``[count, ...]``."""
+        return jax.vmap(self.sample)(jax.random.split(key, count))

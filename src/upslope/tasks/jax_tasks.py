@@ -1,0 +1,84 @@
+"""Families whose environments are written in JAX: collection compiles into the learner's own program."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Key, Policy, Task, Transition
+
+
+class RunningEnvironments(eqx.Module):
+    """Environments in the middle of their episodes: what to act on, and their states, ``[n, ...]``."""
+
+    obs: Float[Array, "n *obs"]
+    state: Any
+
+
+class JaxTasks(AbstractFamily):
+    """A family over any environment with gymnax's signature (≥ 1.0); a task is the environment's parameters.
+
+    Attributes:
+        env: ``reset(key, params)`` and the six-value ``step(key, state, action, params)`` with
+            ``info["final_observation"]``. Compared by value, so that equal families share compiled programs.
+        sample_params: draws one task; compared by value too.
+    """
+
+    name: str = eqx.field(static=True)
+    env: Any = eqx.field(static=True)
+    sample_params: Callable[[Key], Task] = eqx.field(static=True)
+    gamma: float = eqx.field(static=True)
+    observation_shape: tuple[int, ...] = eqx.field(static=True)
+    observation_scale: tuple[float, ...] = eqx.field(static=True)
+    actions: int = eqx.field(static=True)
+    continuous: bool = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+
+    def sample(self, key: Key) -> Task:
+        return self.sample_params(key)
+
+    def reset(self, key: Key, tasks: Task) -> RunningEnvironments:
+        return RunningEnvironments(*jax.vmap(self.env.reset)(jax.random.split(key, _count(tasks)), tasks))
+
+    def collect(
+        self, key: Key, tasks: Task, running: RunningEnvironments, policy: Policy, steps: int
+    ) -> tuple[RunningEnvironments, Transition]:
+        def one_step(running: RunningEnvironments, key: Key) -> tuple[RunningEnvironments, Transition]:
+            act_key, step_key = jax.random.split(key)
+            action = policy(act_key, running.obs)
+            obs, state, reward, terminated, _, info = self._step(step_key, running.state, action, tasks)
+            # Truncation keeps the discount at γ: only a true end cuts the future off.
+            discount = self.gamma * (1.0 - terminated)
+            transition = Transition(running.obs, action, reward, discount, info["final_observation"])
+            return RunningEnvironments(obs, state), transition
+
+        running, transitions = jax.lax.scan(one_step, running, jax.random.split(key, steps))
+        return running, jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), transitions)
+
+    def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
+        reset_key, episode_key = jax.random.split(key)
+        running = self.reset(reset_key, tasks)
+        count = _count(tasks)
+
+        def one_step(carry: tuple, key: Key) -> tuple[tuple, None]:
+            running, alive, total = carry
+            act_key, step_key = jax.random.split(key)
+            action = policy(act_key, running.obs)
+            obs, state, reward, terminated, truncated, _ = self._step(step_key, running.state, action, tasks)
+            total = total + alive * reward
+            return (RunningEnvironments(obs, state), alive & ~(terminated | truncated), total), None
+
+        start = (running, jnp.ones(count, bool), jnp.zeros(count))
+        (_, _, total), _ = jax.lax.scan(one_step, start, jax.random.split(episode_key, self.max_steps))
+        return total
+
+    def _step(self, key: Key, state: Any, action: Any, tasks: Task) -> tuple:
+        return jax.vmap(self.env.step)(jax.random.split(key, _count(tasks)), state, action, tasks)
+
+
+def _count(tasks: Task) -> int:
+    return jax.tree.leaves(tasks)[0].shape[0]
