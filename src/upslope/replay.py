@@ -1,48 +1,54 @@
-"""A pure uniform replay buffer: a ring of transitions as one immutable PyTree."""
+"""A pure uniform replay buffer: a ring of records as one immutable PyTree."""
+
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from upslope.types import Key, Transition
+from upslope.types import Key
 
 
 class Replay(eqx.Module):
-    """The newest ``capacity`` transitions, with raw rewards.
+    """The newest ``capacity`` records: transitions with raw rewards, and whatever a learner keeps beside them.
 
     Attributes:
-        data: transitions ``[capacity, ...]``.
-        added: how many transitions were ever added.
+        data: a PyTree of arrays ``[capacity, ...]``.
+        added: how many records were ever added.
     """
 
-    data: Transition
+    data: Any
     added: Int[Array, ""]
 
     @classmethod
-    def empty(cls, example: Transition, capacity: int) -> "Replay":
-        """An empty buffer for transitions like ``example`` (one, unbatched)."""
+    def empty(cls, example: Any, capacity: int) -> "Replay":
+        """An empty buffer for records like ``example`` (one, unbatched)."""
         data = jax.tree.map(lambda leaf: jnp.zeros((capacity, *jnp.shape(leaf)), jnp.result_type(leaf)), example)
         return cls(data, jnp.zeros((), jnp.int32))
 
     @classmethod
-    def of(cls, transitions: Transition) -> "Replay":
-        """A full buffer that holds exactly ``transitions`` ``[capacity, ...]``."""
-        return cls(transitions, jnp.asarray(transitions.reward.shape[0], jnp.int32))
+    def of(cls, records: Any) -> "Replay":
+        """A full buffer that holds exactly ``records`` ``[capacity, ...]``."""
+        return cls(records, jnp.asarray(_length(records), jnp.int32))
 
     @property
     def capacity(self) -> int:
-        return self.data.reward.shape[0]
+        return _length(self.data)
 
-    def add(self, transitions: Transition) -> "Replay":
-        """Adds ``[n, ...]`` transitions; the oldest make room."""
-        count = transitions.reward.shape[0]
+    def add(self, records: Any) -> "Replay":
+        """Adds ``[n, ...]`` records, n at most the capacity; the oldest make room."""
+        count = _length(records)
         where = (self.added + jnp.arange(count)) % self.capacity
-        data = jax.tree.map(lambda ring, new: ring.at[where].set(new), self.data, transitions)
+        data = jax.tree.map(lambda ring, new: ring.at[where].set(new), self.data, records)
         return Replay(data, self.added + count)
 
-    def sample(self, key: Key, count: int) -> Transition:
-        """Draws ``count`` transitions uniformly, with replacement, from those present (at least one must be)."""
+    def sample(self, key: Key, count: int) -> Any:
+        """Draws ``count`` records uniformly, with replacement, from those present (at least one must be)."""
         present = jnp.minimum(self.added, self.capacity)
         where = jax.random.randint(key, (count,), 0, jnp.maximum(present, 1))
         return jax.tree.map(lambda ring: ring[where], self.data)
+
+
+def _length(records: Any) -> int:
+    return jax.tree.leaves(records)[0].shape[0]

@@ -46,13 +46,12 @@ class Shaping(eqx.Module):
     potential: Potential
     terminal_discount: Float[Array, ""] | float = 0.0
 
-    def __call__(self, batch: Transition) -> Transition:
-        """Adds F to the rewards of transitions ``[n, ...]``."""
+    def rewards(self, batch: Transition) -> Float[Array, "n"]:
+        """F of each of the transitions ``[n, ...]``."""
         discount = jnp.where(batch.discount == 0, self.terminal_discount, batch.discount)
-        added = jax.vmap(shaping_reward, in_axes=(None, 0, 0, 0))(
+        return jax.vmap(shaping_reward, in_axes=(None, 0, 0, 0))(
             self.potential, batch.obs, discount, batch.next_obs
         )
-        return batch._replace(reward=batch.reward + added)
 
 
 def potential_based(potential: Potential) -> Shaping:
@@ -68,6 +67,6 @@ def not_policy_invariant(potential: Potential, gamma: float) -> Shaping:
     return Shaping(potential, jnp.asarray(gamma, jnp.float32))
 
 
-def shape(batch: Transition, shaping: Shaping | None) -> Transition:
-    """The batch with shaped rewards; ``None`` is the unshaped baseline."""
-    return batch if shaping is None else shaping(batch)
+def shape(batch: Transition, added: Float[Array, "n"] | None) -> Transition:
+    """R' = R + F for raw transitions ``[n, ...]``; ``None`` is the unshaped baseline."""
+    return batch if added is None else batch._replace(reward=batch.reward + added)

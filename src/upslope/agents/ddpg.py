@@ -73,9 +73,9 @@ class DDPG(AbstractLearner):
         family, config = self.family, self.config
         sizes = (family.observation_shape[0], family.actions, config.hidden, family.observation_scale)
         actor, critic = Actor(actor_key, *sizes), Critic(critic_key, *sizes)
-        experience = Experience.start(start_key, family, self.task, config.replay_capacity)
+        experience = Experience.start(start_key, family, self.task, config.replay_capacity, self.shaping)
         experience = experience.extend(
-            warmup_key, family, self.task, Noisy(actor, config.noise), config.warmup_steps
+            warmup_key, family, self.task, Noisy(actor, config.noise), config.warmup_steps, self.shaping
         )
         optimisers = (self._adam().init(actor), self._adam().init(critic))
         return DDPGState(key, actor, critic, actor, critic, optimisers, experience)
@@ -84,8 +84,8 @@ class DDPG(AbstractLearner):
         key, act_key, sample_key = jax.random.split(state.key, 3)
         config = self.config
         policy = Noisy(state.actor, config.noise)
-        experience = state.experience.extend(act_key, self.family, self.task, policy, config.steps_per_update)
-        batch = shape(experience.replay.sample(sample_key, config.batch_size), self.shaping)
+        experience = state.experience.extend(act_key, self.family, self.task, policy, config.steps_per_update, self.shaping)
+        batch = shape(*experience.sample(sample_key, config.batch_size))
 
         critic_loss, gradient = jax.value_and_grad(critic_error)(
             state.critic, state.target_actor, state.target_critic, batch

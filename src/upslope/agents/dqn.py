@@ -73,9 +73,9 @@ class DQN(AbstractLearner):
             self.config.hidden,
             self.family.observation_scale,
         )
-        experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity)
+        experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity, self.shaping)
         experience = experience.extend(
-            warmup_key, self.family, self.task, EpsilonGreedy(network, 1.0), self.config.warmup_steps
+            warmup_key, self.family, self.task, EpsilonGreedy(network, 1.0), self.config.warmup_steps, self.shaping
         )
         return DQNState(key, network, network, self._adam().init(network), experience)
 
@@ -83,9 +83,9 @@ class DQN(AbstractLearner):
         key, act_key, sample_key = jax.random.split(state.key, 3)
         policy = EpsilonGreedy(state.network, self.config.epsilon)
         experience = state.experience.extend(
-            act_key, self.family, self.task, policy, self.config.steps_per_update
+            act_key, self.family, self.task, policy, self.config.steps_per_update, self.shaping
         )
-        batch = shape(experience.replay.sample(sample_key, self.config.batch_size), self.shaping)
+        batch = shape(*experience.sample(sample_key, self.config.batch_size))
         loss, gradient = jax.value_and_grad(td_error)(state.network, state.target, batch)
         change, optimiser = self._adam().update(gradient, state.optimiser)
         network = optax.apply_updates(state.network, change)

@@ -1,34 +1,64 @@
 """A learner's own experience of one task: running environments and a replay of raw rewards."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from upslope.replay import Replay
+from upslope.shaping import Shaping
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Policy, Scalar, Task, Transition
 
 
+class Record(NamedTuple):
+    """What is remembered of a step: the raw transition and, apart from it, F of a frozen potential.
+
+    F is computed once, when the step is taken, not at each of the many times that it is drawn. A potential that moves
+    keeps no F here (``None``): all of a batch must be shaped by one version of Φ.
+    """
+
+    transition: Transition
+    added: Float[Array, "*batch"] | None
+
+
 class Experience(eqx.Module):
-    """One environment of one task, and the transitions seen there."""
+    """One environment of one task, and the records of what happened there."""
 
     running: Any
     replay: Replay
 
     @classmethod
-    def start(cls, key: Key, family: AbstractFamily, task: Task, capacity: int) -> "Experience":
+    def start(
+        cls, key: Key, family: AbstractFamily, task: Task, capacity: int, shaping: Shaping | None = None
+    ) -> "Experience":
         """A fresh environment and an empty replay."""
         action = jnp.zeros((family.actions,)) if family.continuous else jnp.zeros((), jnp.int32)
         obs = jnp.zeros(family.observation_shape)
         example = Transition(obs, action, jnp.zeros(()), jnp.zeros(()), obs)
-        return cls(family.reset(key, _alone(task)), Replay.empty(example, capacity))
+        record = Record(example, None if shaping is None else jnp.zeros(()))
+        return cls(family.reset(key, _alone(task)), Replay.empty(record, capacity))
 
-    def extend(self, key: Key, family: AbstractFamily, task: Task, policy: Policy, steps: int) -> "Experience":
-        """Acts for ``steps`` steps and remembers them."""
+    def extend(
+        self,
+        key: Key,
+        family: AbstractFamily,
+        task: Task,
+        policy: Policy,
+        steps: int,
+        shaping: Shaping | None = None,
+    ) -> "Experience":
+        """Acts for ``steps`` steps and remembers them, with F beside the raw rewards where there is a shaping."""
         running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
-        return Experience(running, self.replay.add(jax.tree.map(lambda leaf: leaf[0], transitions)))
+        transitions = jax.tree.map(lambda leaf: leaf[0], transitions)
+        record = Record(transitions, None if shaping is None else shaping.rewards(transitions))
+        return Experience(running, self.replay.add(record))
+
+    def sample(self, key: Key, count: int) -> Record:
+        """Draws ``count`` records uniformly."""
+        return self.replay.sample(key, count)
 
 
 def greedy_return(key: Key, family: AbstractFamily, task: Task, policy: Policy, episodes: int) -> Scalar:

@@ -1,0 +1,144 @@
+"""Algorithm 2: adapting prior and policy together on a new task, A head first, V head second."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from upslope.agents.experience import Experience, greedy_return
+from upslope.learner import AbstractLearner
+from upslope.losses import advantage_loss, value_loss
+from upslope.maml import descend
+from upslope.networks import DuelingQ
+from upslope.policies import EpsilonGreedy, Greedy
+from upslope.shaping import potential_based, shape
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Key, Metrics, Scalar, Task, Transition
+
+
+class UpdateRule(Protocol):
+    """How one arm turns a batch into new parameters: Algorithm 2, MAML, and the controls between them.
+
+    Rules compare by value, so that equal ones share compiled programs.
+    """
+
+    def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
+        """φ after one update on raw transitions ``[n, ...]``."""
+        ...
+
+    def scores(self, phi: DuelingQ) -> Callable:
+        """What the policy maximises."""
+        ...
+
+
+@dataclass(frozen=True)
+class AdvantageHead:
+    """Algorithm 2's two steps: A by Eq. 8 with the current potential, then V by Eq. 9.
+
+    Attributes:
+        centred: subtract the *prior's* frozen max A, so that A starts as Q_θ − V_θ. Training by Eq. 6 leaves the level
+            of the raw A head arbitrary, and the first V steps would have to undo it. Subtracting the *current* max
+            instead would make Eq. 9's gradient identically zero.
+    """
+
+    centred: bool = True
+
+    def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
+        level = self.level(prior)
+        phi = descend(phi, jax.grad(advantage_step_loss)(phi, phi, batch, level), step_size)
+        return descend(phi, jax.grad(value_step_loss)(phi, batch, level), step_size)
+
+    def level(self, prior: DuelingQ) -> Callable:
+        """What is subtracted from A(s, ·)."""
+        return (lambda obs: jnp.max(prior.advantage(obs))) if self.centred else (lambda obs: jnp.zeros(()))
+
+    def scores(self, phi: DuelingQ) -> Callable:
+        return phi.advantage
+
+
+def advantage_step_loss(phi: DuelingQ, potential: DuelingQ, batch: Transition, level: Callable) -> Scalar:
+    """Mean of Eq. 8, with the rewards shaped by the V head of ``potential``, which is a constant here."""
+    shaped = shape(batch, potential_based(jax.lax.stop_gradient(potential).value).rewards(batch))
+    advantage = jax.vmap(lambda obs: phi.advantage(obs) - level(obs))
+    next_advantage = jax.lax.stop_gradient(advantage(batch.next_obs))
+    losses = jax.vmap(advantage_loss)(
+        advantage(batch.obs), batch.action, shaped.reward, batch.discount, next_advantage
+    )
+    return jnp.mean(losses)
+
+
+def value_step_loss(phi: DuelingQ, batch: Transition, level: Callable) -> Scalar:
+    """Mean of Eq. 9."""
+    value, advantage = jax.vmap(phi.heads)(batch.obs)
+    return jnp.mean(jax.vmap(value_loss)(value, advantage - jax.vmap(level)(batch.obs)[:, None]))
+
+
+@dataclass(frozen=True)
+class AdaptationConfig:
+    """Settings of adaptation, the same for every arm.
+
+    Attributes:
+        batch_size: transitions behind each gradient.
+        replay_capacity: transitions remembered.
+        steps_per_update: environment steps before each update.
+        epsilon: share of random actions.
+        evaluation_episodes: greedy episodes behind each reported return.
+    """
+
+    batch_size: int = 256
+    replay_capacity: int = 10_000
+    steps_per_update: int = 200
+    epsilon: float = 0.1
+    evaluation_episodes: int = 3
+
+
+class AdaptationState(eqx.Module):
+    """All that changes while adapting.
+
+    Attributes:
+        phi: φ_j, the task-posterior.
+    """
+
+    key: Key
+    phi: DuelingQ
+    experience: Experience
+
+
+class Adaptation(AbstractLearner):
+    """Few-shot learning of one task from a prior, by one of the update rules.
+
+    Attributes:
+        prior: θ, where φ starts.
+        step_size: α of plain gradient descent.
+    """
+
+    family: AbstractFamily
+    task: Task
+    prior: DuelingQ
+    step_size: Scalar
+    rule: UpdateRule = eqx.field(static=True, default=AdvantageHead())
+    config: AdaptationConfig = eqx.field(static=True, default=AdaptationConfig())
+
+    def init(self, key: Key) -> AdaptationState:
+        key, start_key = jax.random.split(key)
+        experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity)
+        return AdaptationState(key, self.prior, experience)
+
+    def step(self, state: AdaptationState) -> tuple[AdaptationState, Metrics]:
+        key, act_key, sample_key = jax.random.split(state.key, 3)
+        policy = EpsilonGreedy(self.rule.scores(state.phi), self.config.epsilon)
+        experience = state.experience.extend(
+            act_key, self.family, self.task, policy, self.config.steps_per_update
+        )
+        batch = experience.sample(sample_key, self.config.batch_size).transition
+        phi = self.rule.update(state.phi, self.prior, batch, self.step_size)
+        moved = jnp.mean(jnp.abs(jax.vmap(phi.value)(batch.obs) - jax.vmap(self.prior.value)(batch.obs)))
+        return AdaptationState(key, phi, experience), {"value_change": moved}
+
+    def report(self, state: AdaptationState) -> dict[str, Scalar]:
+        key = jax.random.fold_in(state.key, 0)
+        policy = Greedy(self.rule.scores(state.phi))
+        return {"return": greedy_return(key, self.family, self.task, policy, self.config.evaluation_episodes)}

@@ -1,0 +1,49 @@
+"""Two controls that tell what Algorithm 2's gain comes from: each changes one thing about it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from upslope.agents.adaptation import AdvantageHead, advantage_step_loss
+from upslope.losses import td_loss
+from upslope.maml import descend
+from upslope.networks import DuelingQ
+from upslope.types import Scalar, Transition
+
+
+@dataclass(frozen=True)
+class FrozenPotential:
+    """V frozen at the prior, two centred A steps: pure shaping. Tells what moving the potential adds."""
+
+    def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
+        level = AdvantageHead(centred=True).level(prior)
+        for _ in range(2):
+            phi = descend(phi, jax.grad(advantage_step_loss)(phi, prior, batch, level), step_size)
+        return phi
+
+    def scores(self, phi: DuelingQ) -> Callable:
+        return phi.advantage
+
+
+@dataclass(frozen=True)
+class CentredTD:
+    """One TD step on V + A − frozen max A. Tells what is owed to not differentiating through a running maximum."""
+
+    def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
+        return descend(phi, jax.grad(centred_td_loss)(phi, prior, batch), step_size)
+
+    def scores(self, phi: DuelingQ) -> Callable:
+        return phi.advantage
+
+
+def centred_td_loss(phi: DuelingQ, prior: DuelingQ, batch: Transition) -> Scalar:
+    """Mean of Eq. 5 for Q(s, ·) = V(s) + A(s, ·) − the prior's max A(s, ·)."""
+
+    def centred_q(obs):
+        value, advantage = phi.heads(obs)
+        return value + advantage - jnp.max(prior.advantage(obs))
+
+    q, next_q = jax.vmap(centred_q)(batch.obs), jax.lax.stop_gradient(jax.vmap(centred_q)(batch.next_obs))
+    return jnp.mean(jax.vmap(td_loss)(q, batch.action, batch.reward, batch.discount, next_q))
