@@ -109,9 +109,7 @@ class MetaTraining(AbstractLearner):
         theta = DuelingQ(
             network_key, family.observation_shape[0], family.actions, self.config.hidden, family.observation_scale
         )
-        return MetaTrainingState(
-            key, theta, theta, theta, self._optimiser().init(theta), jnp.zeros((), jnp.int32)
-        )
+        return MetaTrainingState(key, theta, theta, theta, self._optimiser().init(theta), jnp.zeros((), jnp.int32))
 
     def step(self, state: MetaTrainingState) -> tuple[MetaTrainingState, Metrics]:
         key, task_key, collect_key, update_key = jax.random.split(state.key, 4)

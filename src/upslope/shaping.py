@@ -49,9 +49,7 @@ class Shaping(eqx.Module):
     def rewards(self, batch: Transition) -> Float[Array, "n"]:
         """F of each of the transitions ``[n, ...]``."""
         discount = jnp.where(batch.discount == 0, self.terminal_discount, batch.discount)
-        return jax.vmap(shaping_reward, in_axes=(None, 0, 0, 0))(
-            self.potential, batch.obs, discount, batch.next_obs
-        )
+        return jax.vmap(shaping_reward, in_axes=(None, 0, 0, 0))(self.potential, batch.obs, discount, batch.next_obs)
 
 
 def potential_based(potential: Potential) -> Shaping:

@@ -64,9 +64,7 @@ def advantage_step_loss(phi: DuelingQ, potential: DuelingQ, batch: Transition, l
     shaped = shape(batch, potential_based(jax.lax.stop_gradient(potential).value).rewards(batch))
     advantage = jax.vmap(lambda obs: phi.advantage(obs) - level(obs))
     next_advantage = jax.lax.stop_gradient(advantage(batch.next_obs))
-    losses = jax.vmap(advantage_loss)(
-        advantage(batch.obs), batch.action, shaped.reward, batch.discount, next_advantage
-    )
+    losses = jax.vmap(advantage_loss)(advantage(batch.obs), batch.action, shaped.reward, batch.discount, next_advantage)
     return jnp.mean(losses)
 
 
@@ -130,9 +128,7 @@ class Adaptation(AbstractLearner):
     def step(self, state: AdaptationState) -> tuple[AdaptationState, Metrics]:
         key, act_key, sample_key = jax.random.split(state.key, 3)
         policy = EpsilonGreedy(self.rule.scores(state.phi), self.config.epsilon)
-        experience = state.experience.extend(
-            act_key, self.family, self.task, policy, self.config.steps_per_update
-        )
+        experience = state.experience.extend(act_key, self.family, self.task, policy, self.config.steps_per_update)
         batch = experience.sample(sample_key, self.config.batch_size).transition
         phi = self.rule.update(state.phi, self.prior, batch, self.step_size)
         moved = jnp.mean(jnp.abs(jax.vmap(phi.value)(batch.obs) - jax.vmap(self.prior.value)(batch.obs)))

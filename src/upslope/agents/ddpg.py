@@ -84,7 +84,9 @@ class DDPG(AbstractLearner):
         key, act_key, sample_key = jax.random.split(state.key, 3)
         config = self.config
         policy = Noisy(state.actor, config.noise)
-        experience = state.experience.extend(act_key, self.family, self.task, policy, config.steps_per_update, self.shaping)
+        experience = state.experience.extend(
+            act_key, self.family, self.task, policy, config.steps_per_update, self.shaping
+        )
         batch = shape(*experience.sample(sample_key, config.batch_size))
 
         critic_loss, gradient = jax.value_and_grad(critic_error)(
@@ -93,9 +95,7 @@ class DDPG(AbstractLearner):
         change, critic_optimiser = self._adam().update(gradient, state.optimisers[1])
         critic = optax.apply_updates(state.critic, change)
 
-        actor_loss, gradient = jax.value_and_grad(actor_error)(
-            state.actor, critic, batch, config.saturation_penalty
-        )
+        actor_loss, gradient = jax.value_and_grad(actor_error)(state.actor, critic, batch, config.saturation_penalty)
         change, actor_optimiser = self._adam().update(gradient, state.optimisers[0])
         actor = optax.apply_updates(state.actor, change)
 

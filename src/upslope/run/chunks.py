@@ -1,26 +1,78 @@
-"""Chunks of steps, compiled once and mapped over a batch of learners and over the local devices."""
+"""Chunks of steps: one compiled program, mapped over a batch of learners and spread over the local devices."""
 
-from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
 
 from upslope.learner import AbstractLearner
+from upslope.run.compiling import COMPILER_OPTIONS
+from upslope.types import Key, Metrics, Scalar
+
+_AXIS = "learners"
 
 
-@jax.jit
-def start(learners, keys):
-    return jax.vmap(lambda learner, key: learner.init(key))(learners, keys)
+def mesh() -> Mesh:
+    """All local devices in a row."""
+    return Mesh(jax.local_devices(), (_AXIS,))
 
-@partial(jax.jit, donate_argnums=1)
-def advance(learners, states, steps):
-    def one(learner, state):
-        zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(learner.step, state)[1])
-        def body(_, carry):
-            state, total = carry
-            state, metrics = learner.step(state)
-            return state, jax.tree.map(jnp.add, total, metrics)
-        state, total = jax.lax.fori_loop(0, steps, body, (state, zeros))
-        return state, jax.tree.map(lambda t: t / jnp.maximum(steps, 1), total), learner.report(state)
-    return jax.vmap(one)(learners, states)
+
+def spread(batch: Any) -> Any:
+    """Lays the leading axis of a stacked PyTree ``[learners, ...]`` over the devices; they must divide it."""
+    return jax.device_put(batch, NamedSharding(mesh(), P(_AXIS)))
+
+
+def start(learners: AbstractLearner, keys: Key) -> Any:
+    """The states ``[learners, ...]`` before the first step."""
+    return _start(learners, keys, mesh())
+
+
+def advance(learners: AbstractLearner, states: Any, steps: int) -> tuple[Any, Metrics, dict[str, Any]]:
+    """Takes ``steps`` steps with every learner, then reports.
+
+    The number of steps is an input of the program: chunks of any length, none included, share one program.
+    The states given are consumed.
+
+    Returns:
+        States, the mean of each metric over the chunk, and the reports, all ``[learners, ...]``.
+    """
+    return _advance(learners, states, jnp.asarray(steps), mesh())
+
+
+def _start_one(learner: AbstractLearner, key: Key) -> Any:
+    return learner.init(key)
+
+
+def _advance_one(learner: AbstractLearner, state: Any, steps: Scalar) -> tuple[Any, Metrics, dict[str, Any]]:
+    shapes = jax.eval_shape(learner.step, state)[1]
+    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+
+    def body(_: int, carry: tuple[Any, Metrics]) -> tuple[Any, Metrics]:
+        state, total = carry
+        state, metrics = learner.step(state)
+        return state, jax.tree.map(jnp.add, total, metrics)
+
+    state, total = jax.lax.fori_loop(0, steps, body, (state, nothing))
+    metrics = jax.tree.map(lambda leaf: leaf / jnp.maximum(steps, 1), total)
+    return state, metrics, learner.report(state)
+
+
+def _mapped(function: Any, devices: Mesh, *specs: P) -> Any:
+    in_axes = tuple(0 if spec == P(_AXIS) else None for spec in specs)
+    return jax.shard_map(
+        jax.vmap(function, in_axes=in_axes), mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False
+    )
+
+
+def _start_all(learners: AbstractLearner, keys: Key, devices: Mesh) -> Any:
+    return _mapped(_start_one, devices, P(_AXIS), P(_AXIS))(learners, keys)
+
+
+def _advance_all(learners: AbstractLearner, states: Any, steps: Scalar, devices: Mesh) -> Any:
+    return _mapped(_advance_one, devices, P(_AXIS), P(_AXIS), P())(learners, states, steps)
+
+
+_start = jax.jit(_start_all, static_argnames="devices", compiler_options=COMPILER_OPTIONS)
+_advance = jax.jit(_advance_all, static_argnames="devices", donate_argnames="states", compiler_options=COMPILER_OPTIONS)

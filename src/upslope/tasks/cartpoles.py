@@ -72,9 +72,7 @@ def cartpoles(
     return JaxTasks(
         name="cartpole",
         env=env,
-        sample_params=PoleLengths(
-            scale * low, scale * high, math.radians(angle_limit_degrees), track_limit, max_steps
-        ),
+        sample_params=PoleLengths(scale * low, scale * high, math.radians(angle_limit_degrees), track_limit, max_steps),
         gamma=gamma,
         observation_shape=(4,),
         observation_scale=env.observation_scale,

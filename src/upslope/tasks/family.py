@@ -45,9 +45,7 @@ class AbstractFamily(eqx.Module):
         """Starts one environment for each of ``n`` stacked tasks; returns the running environments."""
 
     @abstractmethod
-    def collect(
-        self, key: Key, tasks: Task, running: Any, policy: Policy, steps: int
-    ) -> tuple[Any, Transition]:
+    def collect(self, key: Key, tasks: Task, running: Any, policy: Policy, steps: int) -> tuple[Any, Transition]:
         """Takes ``steps`` steps in each environment, with automatic reset.
 
         Returns:
