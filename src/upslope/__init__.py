@@ -1,0 +1,9 @@
+"""upslope: meta-learned potentials that shape the reward of every new task of a family."""
+
+from upslope.api import adapt, meta_train, train
+from upslope.errors import UpslopeError
+from upslope.meta_training import MetaTrainingConfig
+from upslope.prior import Prior
+from upslope.tasks import cartpoles
+
+__all__ = ["MetaTrainingConfig", "Prior", "UpslopeError", "adapt", "cartpoles", "meta_train", "train"]

@@ -28,7 +28,7 @@ def dueling_q(value: Scalar, advantage: ActionValues) -> ActionValues:
 
     The maximum, not the mean of common dueling networks: with the mean, V is not the optimal value.
     """
-    return value + advantage - jnp.max(advantage)
+    return value + (advantage - jnp.max(advantage))
 
 
 def prior_learning_loss(q_prior: ActionValues, q_posterior: ActionValues, action: ActionIndex) -> Scalar:

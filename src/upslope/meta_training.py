@@ -94,7 +94,7 @@ class TaskSamples(eqx.Module):
     """What one φ_i and its outer loss are computed from: a batch of one task, and the inner TD targets' network."""
 
     batch: Transition
-    next_q: Float[Array, "batch actions"] | None
+    next_q: Float[Array, "*tasks batch actions"] | None
 
 
 class MetaTraining(AbstractLearner):

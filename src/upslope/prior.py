@@ -128,7 +128,7 @@ class Prior:
         try:
             with safe_open(path, framework="numpy") as file:
                 trained_on = _read_header(path, file.metadata() or {})
-                tensors = {name: file.get_tensor(name) for name in file.keys()  # noqa: SIM118 (no mapping)}
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no mapping)
         except (SafetensorError, OSError) as error:
             raise UpslopeError(f"{path} is damaged or no safetensors file ({error}): make the prior again.") from error
         return cls(_fill(path, trained_on, tensors), trained_on)

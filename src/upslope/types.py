@@ -4,8 +4,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Key as KeyArray
 
 Key: TypeAlias = PRNGKeyArray
+Keys: TypeAlias = KeyArray[Array, "..."]
 Scalar: TypeAlias = Float[Array, ""]
 
 #: A task M_i: the parameters that tell it from the other tasks of its family. 200 tasks are one stacked PyTree.

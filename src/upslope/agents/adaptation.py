@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Metrics, Scalar, Task, Transition
 
 
+@runtime_checkable
 class UpdateRule(Protocol):
     """How one arm turns a batch into new parameters: Algorithm 2, MAML, and the controls between them.
 

@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
+from jaxtyping import Array, Float, Int
 
 from upslope.learner import AbstractLearner
 from upslope.run.compiling import COMPILER_OPTIONS
-from upslope.types import Key, Metrics, Scalar
+from upslope.types import Key, Keys, Metrics
 
 _AXIS = "learners"
 
@@ -24,12 +25,12 @@ def spread(batch: Any) -> Any:
     return jax.device_put(batch, NamedSharding(mesh(), P(_AXIS)))
 
 
-def start(learners: AbstractLearner, keys: Key) -> Any:
+def start(learners: AbstractLearner, keys: Keys) -> Any:
     """The states ``[learners, ...]`` before the first step."""
     return _start(learners, keys, mesh())
 
 
-def advance(learners: AbstractLearner, states: Any, steps: int) -> tuple[Any, Metrics, dict[str, Any]]:
+def advance(learners: AbstractLearner, states: Any, steps: int) -> tuple[Any, dict[str, Float[Array, "learners"]], dict[str, Any]]:
     """Takes ``steps`` steps with every learner, then reports.
 
     The number of steps is an input of the program: chunks of any length, none included, share one program.
@@ -45,11 +46,11 @@ def _start_one(learner: AbstractLearner, key: Key) -> Any:
     return learner.init(key)
 
 
-def _advance_one(learner: AbstractLearner, state: Any, steps: Scalar) -> tuple[Any, Metrics, dict[str, Any]]:
+def _advance_one(learner: AbstractLearner, state: Any, steps: Int[Array, ""]) -> tuple[Any, Metrics, dict[str, Any]]:
     shapes = jax.eval_shape(learner.step, state)[1]
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
-    def body(_: int, carry: tuple[Any, Metrics]) -> tuple[Any, Metrics]:
+    def body(_: Int[Array, ""], carry: tuple[Any, Metrics]) -> tuple[Any, Metrics]:
         state, total = carry
         state, metrics = learner.step(state)
         return state, jax.tree.map(jnp.add, total, metrics)
@@ -66,11 +67,11 @@ def _mapped(function: Any, devices: Mesh, *specs: P) -> Any:
     )
 
 
-def _start_all(learners: AbstractLearner, keys: Key, devices: Mesh) -> Any:
+def _start_all(learners: AbstractLearner, keys: Keys, devices: Mesh) -> Any:
     return _mapped(_start_one, devices, P(_AXIS), P(_AXIS))(learners, keys)
 
 
-def _advance_all(learners: AbstractLearner, states: Any, steps: Scalar, devices: Mesh) -> Any:
+def _advance_all(learners: AbstractLearner, states: Any, steps: Int[Array, ""], devices: Mesh) -> Any:
     return _mapped(_advance_one, devices, P(_AXIS), P(_AXIS), P())(learners, states, steps)
 
 

@@ -13,7 +13,7 @@ from upslope.learner import AbstractLearner
 from upslope.run import chunks
 from upslope.run.compiling import compile_clock
 from upslope.run.observers import Observer
-from upslope.types import Key
+from upslope.types import Keys
 
 
 class Outcome(NamedTuple):
@@ -40,7 +40,7 @@ class Outcome(NamedTuple):
 
 def run(
     learners: AbstractLearner,
-    keys: Key,
+    keys: Keys,
     *,
     updates: int,
     every: int,

@@ -3,7 +3,7 @@
 import json
 import time
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from rich.console import Console
@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from tensorboardX import SummaryWriter
 
 
+@runtime_checkable
 class Observer(Protocol):
     """Is told of the start of a run, of every report and of the end."""
 

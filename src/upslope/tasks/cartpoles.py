@@ -65,7 +65,7 @@ def cartpoles(
         )
     if not 0 < gamma <= 1:
         raise UpslopeError(f"gamma is {gamma}, but a discount lies in (0, 1]: give one such as 0.98.")
-    if angle_limit_degrees <= 0 or track_limit <= 0 or max_steps < 1:
+    if not (angle_limit_degrees > 0 and track_limit > 0 and max_steps >= 1):
         raise UpslopeError("The angle limit, the track limit and the number of steps must all be positive.")
     env = CartPole(continuous=continuous)
     scale = 2.0 if half_length else 1.0

@@ -1,0 +1,179 @@
+"""The verbs: meta-train a prior, adapt it to a task, train an agent with or without shaping."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
+from upslope.agents.ddpg import DDPG, DDPGConfig
+from upslope.agents.dqn import DQN, DQNConfig
+from upslope.errors import UpslopeError
+from upslope.meta_training import MetaTraining, MetaTrainingConfig
+from upslope.prior import Prior, trained_on
+from upslope.run.loop import Outcome, broadcast, run
+from upslope.run.observers import Observer
+from upslope.shaping import Shaping, potential_based
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Observation, Potential, Task
+
+
+def meta_train(
+    family: AbstractFamily,
+    *,
+    seed: int = 0,
+    config: MetaTrainingConfig | None = None,
+    observers: Sequence[Observer] = (),
+) -> Prior:
+    """Algorithm 1: learns a prior over a family of tasks.
+
+    Raises:
+        UpslopeError: training that diverges.
+    """
+    config = config or MetaTrainingConfig()
+    keys = jax.random.key(seed)[None]
+    learners = broadcast(MetaTraining(family, config), (1,))
+    outcome = run(
+        learners, keys, updates=config.iterations, every=25, title="meta-training", observers=observers
+    )
+    network = jax.tree.map(lambda leaf: leaf[0], outcome.states.average)
+    settings = asdict(config) | {"return_on_training_tasks": float(outcome.reports["return"][0, -1])}
+    return Prior(network, trained_on(family, config.hidden, seed, settings))
+
+
+def adapt(
+    prior: Prior,
+    family: AbstractFamily,
+    task: Task,
+    *,
+    updates: int = 20,
+    step_size: float = 1e-3,
+    rule: UpdateRule | None = None,
+    seed: int = 0,
+    config: AdaptationConfig | None = None,
+    observers: Sequence[Observer] = (),
+) -> tuple[Prior, np.ndarray]:
+    """Algorithm 2: adapts a prior to one new task while learning to solve it.
+
+    Args:
+        prior: θ.
+        family: of the task.
+        task: one task, unstacked; for example ``family.sample(key)``.
+        updates: pairs of Eqs. 8 and 9.
+        step_size: α.
+        rule: another arm, such as ``FineTuning()`` for MAML; Algorithm 2 by default.
+        seed: of the experience.
+        config: sizes of batches and replay.
+        observers: told of the progress.
+
+    Returns:
+        The task-posterior, and the raw greedy return before the first and after each update ``[updates + 1]``.
+
+    Raises:
+        UpslopeError: a prior from another family, or with another γ, observation shape or number of actions.
+    """
+    prior.check(family, acting=True)
+    learner = Adaptation(
+        family, task, prior.network, jnp.asarray(step_size), rule or AdvantageHead(), config or AdaptationConfig()
+    )
+    outcome = run(
+        broadcast(learner, (1,)),
+        jax.random.key(seed)[None],
+        updates=updates,
+        every=1,
+        title="adaptation",
+        observers=observers,
+    )
+    network = jax.tree.map(lambda leaf: leaf[0], outcome.states.phi)
+    return Prior(network, prior.trained_on), outcome.reports["return"][0]
+
+
+def train(
+    family: AbstractFamily,
+    task: Task,
+    potential: Potential | Prior | None = None,
+    *,
+    updates: int = 1000,
+    every: int = 100,
+    seed: int = 0,
+    config: DQNConfig | DDPGConfig | None = None,
+    observers: Sequence[Observer] = (),
+) -> Outcome:
+    """Trains an agent on one task: DQN on discrete actions, DDPG on continuous ones.
+
+    Args:
+        family: of the task.
+        task: one task, unstacked.
+        potential: Φ that shapes the rewards: a prior, or any function of one observation that JAX can trace;
+            None for no shaping.
+        updates: gradient updates.
+        every: updates between reports of the raw greedy return.
+        seed: of the agent and its experience.
+        config: of the agent.
+        observers: told of the progress.
+
+    Raises:
+        UpslopeError: a prior that does not belong to the tasks, or a potential of the wrong shape or not finite.
+    """
+    learner = agent(family, task, _shaping(family, potential), config)
+    return run(
+        broadcast(learner, (1,)),
+        jax.random.key(seed)[None],
+        updates=updates,
+        every=every,
+        title="DDPG" if family.continuous else "DQN",
+        observers=observers,
+    )
+
+
+def agent(
+    family: AbstractFamily, task: Task, shaping: Shaping | None, config: DQNConfig | DDPGConfig | None = None
+) -> DQN | DDPG:
+    """The learner for a family's kind of actions.
+
+    Raises:
+        UpslopeError: settings of the other kind of learner.
+    """
+    if family.continuous:
+        if isinstance(config, DQNConfig):
+            raise UpslopeError("DQN needs discrete actions, but these tasks have continuous ones: use DDPG.")
+        return DDPG(family, task, shaping, config or DDPGConfig())
+    if isinstance(config, DDPGConfig):
+        raise UpslopeError("DDPG needs continuous actions, but these tasks have discrete ones: use DQN.")
+    return DQN(family, task, shaping, config or DQNConfig())
+
+
+def _shaping(family: AbstractFamily, potential: Potential | Prior | None) -> Shaping | None:
+    if potential is None:
+        return None
+    if isinstance(potential, Prior):
+        potential.check(family)
+        return potential_based(potential.network.value)
+    return potential_based(check_potential(potential, family))
+
+
+def check_potential(potential: Potential, family: AbstractFamily) -> Any:
+    """The potential as a traceable function, after a trial on one observation.
+
+    Raises:
+        UpslopeError: it returns something else than one finite number, or JAX can't trace it.
+    """
+    obs: Observation = jnp.zeros(family.observation_shape)
+    try:
+        shape = jax.eval_shape(potential, obs)
+    except Exception as error:
+        raise UpslopeError(
+            f"The potential failed on one observation of shape {family.observation_shape} "
+            f"({type(error).__name__}: {error}): write it with jax.numpy, for one observation."
+        ) from error
+    if getattr(shape, "shape", None) != ():
+        raise UpslopeError(
+            f"The potential returned {getattr(shape, 'shape', type(shape))} for one observation: return a single number."
+        )
+    if not bool(jnp.isfinite(potential(obs))):
+        raise UpslopeError("The potential is not finite at the zero observation: make it finite everywhere.")
+    return potential if isinstance(potential, eqx.Module) else jax.tree_util.Partial(potential)

@@ -1,0 +1,131 @@
+"""Adaptation with the advantage head (Fig. 1, left): Algorithm 2, MAML and the controls, from priors of any age."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
+from upslope.agents.adaptation_controls import CentredTD, FrozenPotential
+from upslope.agents.fine_tuning import FineTuning
+from upslope.errors import UpslopeError
+from upslope.experiments.keys import Purpose, key_for, keys_per_task
+from upslope.experiments.priors import Priors
+from upslope.experiments.results import Arm, Panel
+from upslope.networks import DuelingQ
+from upslope.potentials import stack
+from upslope.run.loop import Outcome, run
+from upslope.run.observers import Observer
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Task
+
+RULES: dict[str, UpdateRule] = {
+    "algorithm2": AdvantageHead(centred=True),
+    "algorithm2_raw": AdvantageHead(centred=False),
+    "frozen_potential": FrozenPotential(),
+    "td_centred": CentredTD(),
+    "maml": FineTuning(steps=1),
+    "maml_two_steps": FineTuning(steps=2),
+}
+
+
+@dataclass(frozen=True)
+class AdaptationPanel:
+    """Settings of the left panel.
+
+    Attributes:
+        stops: iterations at which Algorithm 1 is stopped early; from a finished prior every arm starts at the top.
+        updates: of each adaptation.
+        step_sizes: α to choose from, for each arm and stop on its own, on tuning tasks that are no test tasks.
+    """
+
+    stops: tuple[int, ...] = (75, 100, 125, 150, 200, 500)
+    updates: int = 30
+    step_sizes: tuple[float, ...] = (3e-4, 1e-3, 2e-3, 4e-3, 8e-3)
+
+    def __post_init__(self) -> None:
+        if not self.stops or not self.step_sizes or self.updates < 1:
+            raise UpslopeError("The left panel needs at least one stop, one step size and one update.")
+
+
+def adaptation_panel(
+    family: AbstractFamily,
+    priors: Priors,
+    tasks: Task,
+    panel: AdaptationPanel,
+    config: AdaptationConfig,
+    first_seed: int,
+    observers: Sequence[Observer] = (),
+) -> Panel:
+    """Every rule from every stop on every task, each at the step size that was best on tuning tasks.
+
+    The arms shown are those of the stop at which the priors act half-well on the tuning tasks (nearest to a return
+    of 150), which is where adaptation has something to do; the other stops are variants, named by their iteration.
+    """
+    starts = stack([priors.stopped_at(stop) for stop in panel.stops])
+    count = jax.tree.leaves(tasks)[0].shape[0]
+    tuning_tasks = family.sample_many(key_for(first_seed, Purpose.TUNING_TASKS), count)
+    found: dict[str, dict[str, Arm]] = {str(stop): {} for stop in panel.stops}
+    zero_shot = np.zeros(len(panel.stops))
+    compiling = running = 0.0
+    for name, rule in RULES.items():
+        # Learner t of the tuning runs tries step size t mod S on tuning task t: the test runs' shape, so one program.
+        sizes = jnp.asarray([panel.step_sizes[t % len(panel.step_sizes)] for t in range(count)])
+        tried = jnp.broadcast_to(sizes, (len(panel.stops), count))
+        args = (family, starts, rule, config, panel.updates, first_seed)
+        tuning = _adapt(*args, tuning_tasks, tried, Purpose.TUNING, f"tuning {name}", observers)
+        scores = np.asarray(tuning.reports["return"])
+        if name == "algorithm2":
+            zero_shot = np.median(scores[..., 0], axis=(1, 2))
+        best = _best_sizes(scores, panel.step_sizes)
+        chosen = jnp.broadcast_to(jnp.asarray(best)[:, None], (len(panel.stops), count))
+        test = _adapt(*args, tasks, chosen, Purpose.LEFT, name, observers)
+        for index, stop in enumerate(panel.stops):
+            returns = np.asarray(test.reports["return"][index])
+            found[str(stop)][name] = Arm(test.updates, returns, {"step_size": best[index]})
+        compiling += tuning.seconds_compiling + test.seconds_compiling
+        running += tuning.seconds_running + test.seconds_running
+    shown = str(panel.stops[int(np.abs(zero_shot - 150).argmin())])
+    notes = {"stop": int(shown), "zero_shot_on_tuning_tasks": dict(zip(found, zero_shot.tolist(), strict=True))}
+    title = f"Adaptation, Algorithm 1 stopped at {shown}"
+    return Panel(title, found[shown], compiling, running, variants=found, notes=notes)
+
+
+def _adapt(
+    family: AbstractFamily,
+    starts: DuelingQ,
+    rule: UpdateRule,
+    config: AdaptationConfig,
+    updates: int,
+    first_seed: int,
+    tasks: Task,
+    step_sizes: Float[Array, "stops tasks"],
+    purpose: Purpose,
+    title: str,
+    observers: Sequence[Observer],
+) -> Outcome:
+    """One rule from all stops ``[stops, seeds, ...]`` on all tasks ``[tasks, ...]``."""
+    stops, seeds = jax.tree.leaves(starts)[0].shape[:2]
+    count = step_sizes.shape[1]
+    batch = (stops, seeds, count)
+    learners = Adaptation(
+        family,
+        jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*batch, *leaf.shape[1:])), tasks),
+        jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[:, :, None], (*batch, *leaf.shape[2:])), starts),
+        jnp.broadcast_to(step_sizes[:, None], batch),
+        rule,
+        config,
+    )
+    keys = jnp.broadcast_to(keys_per_task(first_seed, seeds, count, purpose), batch)
+    return run(
+        learners, keys, updates=updates, every=1, title=title, observers=observers, allow_divergence=True
+    )
+
+
+def _best_sizes(scores: np.ndarray, step_sizes: tuple[float, ...]) -> list[float]:
+    """For each stop, the step size with the highest mean return over seeds, its tuning tasks and all updates."""
+    means = np.stack([scores[:, :, index :: len(step_sizes)].mean(axis=(1, 2, 3)) for index in range(len(step_sizes))])
+    return [step_sizes[index] for index in means.argmax(axis=0)]

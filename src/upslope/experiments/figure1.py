@@ -1,0 +1,127 @@
+"""Figure 1: CartPoles with unseen pole lengths. Left: adaptation; middle: shaped DQN; right: shaped DDPG."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from upslope.agents.adaptation import AdaptationConfig
+from upslope.agents.ddpg import DDPGConfig
+from upslope.agents.dqn import DQNConfig
+from upslope.errors import UpslopeError
+from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
+from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.priors import describe_priors, mean_levels, meta_train_priors, oracles, zero_shot_returns
+from upslope.experiments.results import FigureResult, Panel
+from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
+from upslope.meta_training import MetaTrainingConfig
+from upslope.run.compiling import compile_clock
+from upslope.run.observers import Observer
+from upslope.tasks import cartpoles
+
+PanelName = Literal["left", "middle", "right"]
+
+
+@dataclass(frozen=True)
+class Figure1Config:
+    """The whole protocol of Figure 1.
+
+    Attributes:
+        seeds: priors, and runs per task.
+        tasks: unseen tasks.
+        first_seed: seeds are first_seed, first_seed + 1, …; the test tasks are drawn by it too.
+        length: bounds of the full pole length, in metres.
+        gamma: γ.
+        dqn_updates: length of the middle panel.
+        ddpg_updates: length of the right panel.
+        every: updates between evaluations in the middle and right panels.
+        meta_training: Algorithm 1.
+        oracle: training of each task's oracle.
+        panel: stops and step sizes of the left panel.
+        adaptation: sizes of batches and replay in the left panel.
+        dqn: the learner of the middle panel.
+        ddpg: the learner of the right panel.
+    """
+
+    seeds: int = 5
+    tasks: int = 40
+    first_seed: int = 0
+    length: tuple[float, float] = (0.25, 5.0)
+    gamma: float = 0.98
+    dqn_updates: int = 1000
+    ddpg_updates: int = 3000
+    every: int = 100
+    meta_training: MetaTrainingConfig = field(default_factory=lambda: MetaTrainingConfig(averaging_start=0.5))
+    oracle: MetaTrainingConfig = field(
+        default_factory=lambda: MetaTrainingConfig(tasks=4, iterations=300, averaging_start=0.5, evaluation_tasks=1)
+    )
+    panel: AdaptationPanel = field(default_factory=AdaptationPanel)
+    adaptation: AdaptationConfig = field(default_factory=lambda: AdaptationConfig(evaluation_episodes=1))
+    dqn: DQNConfig = field(default_factory=DQNConfig)
+    ddpg: DDPGConfig = field(default_factory=DDPGConfig)
+
+    def __post_init__(self) -> None:
+        if self.seeds < 1 or self.tasks < 1:
+            raise UpslopeError(f"{self.seeds} seeds on {self.tasks} tasks make no figure: give at least 1 of each.")
+
+
+def quick(config: Figure1Config) -> Figure1Config:
+    """About a minute: fewer seeds, tasks and updates. Shows that all works; says nothing about the paper."""
+    return replace(
+        config,
+        seeds=min(config.seeds, 2),
+        tasks=min(config.tasks, 10),
+        dqn_updates=500,
+        ddpg_updates=1000,
+        oracle=replace(config.oracle, iterations=100),
+        panel=replace(config.panel, stops=(100, 150, 500), updates=10),
+    )
+
+
+def figure1(
+    config: Figure1Config,
+    *,
+    panels: Sequence[PanelName] = ("left", "middle", "right"),
+    is_quick: bool = False,
+    observers: Sequence[Observer] = (),
+) -> FigureResult:
+    """Runs the panels asked for. The same configuration gives bit-identical returns on one machine."""
+    began = time.perf_counter()
+    finished: dict[str, Panel] = {}
+    with compile_clock() as clock:
+        family = cartpoles(config.length, gamma=config.gamma)
+        seed = config.first_seed
+        tasks = family.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
+        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, observers)
+        if "left" in panels:
+            finished["left"] = adaptation_panel(
+                family, priors, tasks, config.panel, config.adaptation, seed, observers
+            )
+        if "middle" in panels or "right" in panels:
+            levels = mean_levels(family, priors.final, key_for(seed, Purpose.LEVEL))
+            best = oracles(family, tasks, config.oracle, seed, observers)
+            arms = shaping_arms(family, priors.final, levels, best, config.tasks)
+            schedule = {"every": config.every, "observers": observers}
+            if "middle" in panels:
+                finished["middle"] = shaping_panel(
+                    "Shaping only: DQN", family, tasks, arms, config.dqn, seed, updates=config.dqn_updates, **schedule
+                )
+            if "right" in panels:
+                pushes = cartpoles(config.length, gamma=config.gamma, continuous=True)
+                finished["right"] = shaping_panel(
+                    "Shaping only: DDPG", pushes, tasks, arms, config.ddpg, seed, updates=config.ddpg_updates, **schedule
+                )
+        returns = zero_shot_returns(family, priors.final, tasks, key_for(seed, Purpose.ZERO_SHOT))
+        rows = describe_priors(np.asarray(returns), seed)
+    return FigureResult(
+        name="fig1",
+        panels=finished,
+        priors=rows,
+        training={"iterations": priors.iterations, "returns": priors.returns},
+        configuration=asdict(config),
+        quick=is_quick,
+        seconds_compiling=clock.seconds,
+        seconds_running=time.perf_counter() - began - clock.seconds,
+    )

@@ -1,0 +1,131 @@
+"""The priors of a figure: meta-trained side by side, with their snapshots; and each task's oracle."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from upslope.experiments.keys import Purpose, key_for, keys_for
+from upslope.meta_training import MetaTraining, MetaTrainingConfig
+from upslope.networks import DuelingQ
+from upslope.policies import EpsilonGreedy, Greedy
+from upslope.run.loop import broadcast, run
+from upslope.run.observers import Observer
+from upslope.tasks.family import AbstractFamily
+from upslope.tasks.single import SingleTask
+from upslope.types import Task
+
+SNAPSHOT_EVERY = 25
+
+
+class Priors(NamedTuple):
+    """What meta-training with several seeds left behind.
+
+    Attributes:
+        final: the priors ``[seeds, ...]``.
+        snapshots: the priors as they stood at each of the iterations ``[seeds, snapshots, ...]``.
+        iterations: of the snapshots ``[snapshots]``.
+        returns: greedy returns on extra training tasks ``[seeds, snapshots]``.
+        seconds: compiling and running.
+    """
+
+    final: DuelingQ
+    snapshots: DuelingQ
+    iterations: np.ndarray
+    returns: np.ndarray
+    seconds: tuple[float, float]
+
+    def stopped_at(self, iteration: int) -> DuelingQ:
+        """The priors ``[seeds, ...]`` of Algorithm 1 stopped early, at the snapshot nearest to an iteration."""
+        index = int(np.abs(self.iterations - iteration).argmin())
+        return jax.tree.map(lambda leaf: leaf[:, index], self.snapshots)
+
+
+def meta_train_priors(
+    family: AbstractFamily,
+    config: MetaTrainingConfig,
+    first_seed: int,
+    seeds: int,
+    observers: Sequence[Observer] = (),
+) -> Priors:
+    """Algorithm 1, one prior per seed, all in one program."""
+    outcome = run(
+        broadcast(MetaTraining(family, config), (seeds,)),
+        keys_for(first_seed, seeds, Purpose.META_TRAINING),
+        updates=config.iterations,
+        every=SNAPSHOT_EVERY,
+        title="meta-training",
+        observers=observers,
+    )
+    return Priors(
+        outcome.states.average,
+        outcome.reports["prior"],
+        outcome.updates,
+        outcome.reports["return"],
+        (outcome.seconds_compiling, outcome.seconds_running),
+    )
+
+
+def oracles(
+    family: AbstractFamily,
+    tasks: Task,
+    config: MetaTrainingConfig,
+    first_seed: int,
+    observers: Sequence[Observer] = (),
+) -> DuelingQ:
+    """Networks ``[tasks, ...]``, each trained to convergence on one task: their V heads are the oracle potentials.
+
+    They are trained like the priors, on a family that always draws the one task.
+    """
+    count = jax.tree.leaves(tasks)[0].shape[0]
+    learners = MetaTraining(SingleTask(family, tasks), config)
+    outcome = run(
+        learners,
+        jax.random.split(key_for(first_seed, Purpose.ORACLE), count),
+        updates=config.iterations,
+        every=max(config.iterations // 4, 1),
+        title="oracles",
+        observers=observers,
+    )
+    return outcome.states.average
+
+
+@jax.jit
+def mean_levels(family: AbstractFamily, networks: DuelingQ, key: jax.Array) -> Float[Array, "seeds"]:
+    """Each prior's mean potential over the states that it visits on extra training tasks, ε-greedy with ε = 0.1."""
+    task_key, reset_key, act_key = jax.random.split(key, 3)
+    tasks = family.sample_many(task_key, 20)
+
+    def level(network: DuelingQ) -> Float[Array, ""]:
+        running = family.reset(reset_key, tasks)
+        _, seen = family.collect(act_key, tasks, running, EpsilonGreedy(network, 0.1), family.max_steps)
+        return jnp.mean(jax.vmap(jax.vmap(network.value))(seen.obs))
+
+    return jax.vmap(level)(networks)
+
+
+@jax.jit
+def zero_shot_returns(
+    family: AbstractFamily, networks: DuelingQ, tasks: Task, key: jax.Array
+) -> Float[Array, "seeds tasks"]:
+    """The greedy return of each prior on each task, before any learning there: the mean of five episodes."""
+    count = jax.tree.leaves(tasks)[0].shape[0]
+    copies = jax.tree.map(lambda leaf: jnp.repeat(leaf, 5, axis=0), tasks)
+    returns = jax.vmap(lambda network: family.returns(key, copies, Greedy(network)))(networks)
+    return jnp.mean(returns.reshape(-1, count, 5), axis=-1)
+
+
+def describe_priors(returns: np.ndarray, first_seed: int) -> list[dict[str, float]]:
+    """One row per seed of `zero_shot_returns`: median, mean and lower quartile over the tasks."""
+    return [
+        {
+            "seed": first_seed + index,
+            "zero_shot_median": float(np.median(row)),
+            "zero_shot_mean": float(np.mean(row)),
+            "zero_shot_lower_quartile": float(np.percentile(row, 25)),
+        }
+        for index, row in enumerate(returns)
+    ]

@@ -1,0 +1,138 @@
+"""Results as data: curves of arms, panels and figures; written as returns.npz and results.json."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from upslope.run.machine import hardware, versions
+from upslope.statistics import bootstrap, first_at_least, quartiles
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One method in a comparison.
+
+    Attributes:
+        updates: made before each evaluation ``[evaluations]``.
+        returns: raw greedy returns ``[seeds, tasks, evaluations]``.
+        notes: what was chosen for this arm, such as its step size.
+    """
+
+    updates: np.ndarray
+    returns: Float[np.ndarray, "seeds tasks evaluations"]
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    def summary(self) -> dict[str, Any]:
+        """The curves and numbers of results.json."""
+        middle, interval = quartiles(self.returns), bootstrap(self.returns)
+        return {
+            "updates": self.updates.tolist(),
+            "median": middle.median.tolist(),
+            "q1": middle.q1.tolist(),
+            "q3": middle.q3.tolist(),
+            "iqm": interval.iqm.tolist(),
+            "iqm_low": interval.low.tolist(),
+            "iqm_high": interval.high.tolist(),
+            "mean_over_evaluations": float(self.returns.mean()),
+            "first_median_195": first_at_least(self.updates, middle.median, 195.0),
+            "first_median_200": first_at_least(self.updates, middle.median, 200.0),
+            **self.notes,
+        }
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One comparison.
+
+    Attributes:
+        title: above the panel.
+        arms: by name.
+        seconds_compiling: of all arms.
+        seconds_running: of all arms.
+        variants: the same comparison under other conditions, by name; such as other starting priors.
+        notes: what holds for the whole panel.
+    """
+
+    title: str
+    arms: dict[str, Arm]
+    seconds_compiling: float
+    seconds_running: float
+    variants: dict[str, dict[str, Arm]] = field(default_factory=dict)
+    notes: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FigureResult:
+    """All that a figure is drawn and told from.
+
+    Attributes:
+        name: of the figure.
+        panels: by name.
+        priors: one row per seed.
+        training: ``iterations`` and ``returns`` of the meta-training.
+        configuration: everything that was set.
+        quick: whether this was the quick form, which says nothing about the paper.
+        seconds_compiling: of the whole figure.
+        seconds_running: of the whole figure.
+    """
+
+    name: str
+    panels: dict[str, Panel]
+    priors: list[dict[str, float]]
+    training: dict[str, Any]
+    configuration: dict[str, Any]
+    quick: bool
+    seconds_compiling: float
+    seconds_running: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The content of results.json."""
+        return {
+            "figure": self.name,
+            "quick": self.quick,
+            "panels": {name: _panel_json(panel) for name, panel in self.panels.items()},
+            "priors": self.priors,
+            "training": self.training,
+            "seconds_compiling": self.seconds_compiling,
+            "seconds_running": self.seconds_running,
+            "versions": versions(),
+            "hardware": hardware(),
+            "configuration": self.configuration,
+        }
+
+
+def write_results(result: FigureResult, folder: Path) -> None:
+    """Writes returns.npz (``panel/arm`` to ``[seed, task, evaluation]``) and results.json."""
+    arrays = {}
+    for panel_name, panel in result.panels.items():
+        for arm_name, arm in panel.arms.items():
+            arrays[f"{panel_name}/{arm_name}"] = arm.returns
+        for variant, arms in panel.variants.items():
+            arrays |= {f"{panel_name}@{variant}/{name}": arm.returns for name, arm in arms.items()}
+    np.savez_compressed(folder / "returns.npz", **arrays)
+    text = json.dumps(result.as_json(), indent=1, default=_plain)
+    (folder / "results.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _panel_json(panel: Panel) -> dict[str, Any]:
+    entry = {
+        "title": panel.title,
+        "arms": {name: arm.summary() for name, arm in panel.arms.items()},
+        "seconds_compiling": panel.seconds_compiling,
+        "seconds_running": panel.seconds_running,
+        **panel.notes,
+    }
+    if panel.variants:
+        entry["variants"] = {
+            variant: {name: arm.summary() for name, arm in arms.items()} for variant, arms in panel.variants.items()
+        }
+    return entry
+
+
+def _plain(value: Any) -> Any:
+    """Numpy scalars and arrays as plain numbers and lists."""
+    return np.asarray(value).tolist()

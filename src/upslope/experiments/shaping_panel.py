@@ -1,0 +1,136 @@
+"""Shaping only (Fig. 1, middle and right): one learner with every potential, all arms through one program."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from upslope.agents.ddpg import DDPG, DDPGConfig
+from upslope.agents.dqn import DQN, DQNConfig
+from upslope.experiments.keys import Purpose, keys_per_task
+from upslope.experiments.results import Arm, Panel
+from upslope.networks import DuelingQ
+from upslope.potentials import MeanPotential
+from upslope.run.loop import run
+from upslope.run.observers import Observer
+from upslope.shaping import Shaping
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Task
+
+
+class ShapingArm(NamedTuple):
+    """Which potential an arm shapes by: bias + scale · mean of K networks' V heads.
+
+    Attributes:
+        networks: ``[seeds, tasks, K, ...]``.
+        scale: of the mean.
+        bias: for each seed ``[seeds]``.
+        terminal_discount: what multiplies Φ at terminal states; all but zero is not policy-invariant.
+    """
+
+    networks: DuelingQ
+    scale: float
+    bias: jax.Array
+    terminal_discount: float = 0.0
+
+
+def shaping_arms(
+    family: AbstractFamily, priors: DuelingQ, levels: jax.Array, oracles: DuelingQ, tasks: int
+) -> dict[str, ShapingArm]:
+    """The arms of every shaping comparison.
+
+    Args:
+        family: of the tasks, for its γ.
+        priors: ``[seeds, ...]``.
+        levels: each prior's mean potential ``[seeds]``.
+        oracles: ``[tasks, ...]``.
+        tasks: how many.
+    """
+    seeds = levels.shape[0]
+    shape = (seeds, tasks, seeds)
+
+    def fill(networks: DuelingQ, axis: int) -> DuelingQ:
+        """Networks along one axis of ``[seeds, tasks, K]``, repeated along the others."""
+
+        def spread(leaf: jax.Array) -> jax.Array:
+            lengths = [1, 1, 1]
+            lengths[axis] = leaf.shape[0]
+            return jnp.broadcast_to(leaf.reshape(*lengths, *leaf.shape[1:]), (*shape, *leaf.shape[1:]))
+
+        return jax.tree.map(spread, networks)
+
+    own, mean, oracle, none = fill(priors, 0), fill(priors, 2), fill(oracles, 1), jnp.zeros(seeds)
+    return {
+        "unshaped": ShapingArm(own, 0.0, none),
+        "constant": ShapingArm(own, 0.0, levels),
+        "prior": ShapingArm(own, 1.0, none),
+        "prior_ensemble": ShapingArm(mean, 1.0, none),
+        "prior_unzeroed": ShapingArm(own, 1.0, none, terminal_discount=family.gamma),
+        "oracle": ShapingArm(oracle, 1.0, none),
+    }
+
+
+def shaping_panel(
+    title: str,
+    family: AbstractFamily,
+    tasks: Task,
+    arms: dict[str, ShapingArm],
+    config: DQNConfig | DDPGConfig,
+    first_seed: int,
+    *,
+    updates: int,
+    every: int,
+    observers: Sequence[Observer] = (),
+) -> Panel:
+    """Trains one agent per arm, seed and task; arms share seeds, tasks and randomness.
+
+    Args:
+        title: of the panel.
+        family: of the tasks; DQN where its actions are discrete, DDPG where they are continuous.
+        tasks: ``[tasks, ...]``.
+        arms: from `shaping_arms`.
+        config: of the agent, the same for every arm.
+        first_seed: of the runs.
+        updates: of each agent.
+        every: updates between evaluations.
+        observers: told of the progress.
+    """
+    count = jax.tree.leaves(tasks)[0].shape[0]
+    purpose = Purpose.RIGHT if family.continuous else Purpose.MIDDLE
+    finished: dict[str, Arm] = {}
+    compiling = running = 0.0
+    for name, arm in arms.items():
+        seeds = arm.bias.shape[0]
+        everywhere = jax.tree.map(lambda leaf, n=seeds: jnp.broadcast_to(leaf, (n, *leaf.shape)), tasks)
+        learner = _agent(family, everywhere, _shaping(arm, seeds, count), config)
+        outcome = run(
+            learner,
+            keys_per_task(first_seed, seeds, count, purpose),
+            updates=updates,
+            every=every,
+            title=f"{type(learner).__name__} {name}",
+            observers=observers,
+        )
+        finished[name] = Arm(outcome.updates, np.asarray(outcome.reports["return"]))
+        compiling += outcome.seconds_compiling
+        running += outcome.seconds_running
+    return Panel(title, finished, compiling, running)
+
+
+def _shaping(arm: ShapingArm, seeds: int, tasks: int) -> Shaping:
+    """An arm's shaping for every learner ``[seeds, tasks]``."""
+    shape = (seeds, tasks)
+    potential = MeanPotential(
+        arm.networks, jnp.full(shape, arm.scale), jnp.broadcast_to(arm.bias[:, None], shape).astype(jnp.float32)
+    )
+    return Shaping(potential, jnp.full(shape, arm.terminal_discount))
+
+
+def _agent(
+    family: AbstractFamily, tasks: Task, shaping: Shaping, config: DQNConfig | DDPGConfig
+) -> DQN | DDPG:
+    if isinstance(config, DDPGConfig):
+        return DDPG(family, tasks, shaping, config)
+    return DQN(family, tasks, shaping, config)

@@ -1,0 +1,200 @@
+"""Algorithm 1's outer gradient, kept and stopped, by hand; averaging; the report; settings that are refused."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from support.batches import random_batch, small_network
+from support.comparing import assert_trees_close, assert_trees_identical
+from support.differences import assert_gradient
+from support.probes import discrete_family
+from upslope.errors import UpslopeError
+from upslope.maml import adapt
+from upslope.meta_training import MetaTraining, MetaTrainingConfig, TaskSamples
+
+TASKS, BATCH, ALPHA = 2, 3, 0.1
+TINY = MetaTrainingConfig(
+    iterations=4, tasks=TASKS, steps_per_task=8, batch_size=BATCH, hidden=(6, 5), inner_step_size=ALPHA,
+    outer_updates=2, evaluation_tasks=3, evaluation_episodes=2,
+)  # fmt: skip
+
+
+def learner(**changes) -> MetaTraining:
+    return MetaTraining(discrete_family(), dataclasses.replace(TINY, **changes))
+
+
+def samples(*, fixed_targets=True) -> TaskSamples:
+    """Random transitions of two tasks, TD targets from a network that is not θ."""
+    batch = random_batch(4, leading=(TASKS, BATCH))
+    target = small_network(7)
+    return TaskSamples(batch, jax.vmap(jax.vmap(target))(batch.next_obs) if fixed_targets else None)
+
+
+def of_task(data, index):
+    return jax.tree.map(lambda leaf: leaf[index], data)
+
+
+@pytest.fixture
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.mark.usefixtures("float64")
+class TestKeptGraph:
+    """The literal reading of Eq. 7: gradients flow through φ(θ) as well."""
+
+    @pytest.mark.parametrize("inner_steps", [1, 2])
+    def test_with_constant_td_targets_it_is_the_exact_gradient(self, inner_steps):
+        meta, theta, data = learner(outer_target="kept", inner_steps=inner_steps), small_network(0), samples()
+        objective = jax.jit(meta.outer_loss)
+        assert_gradient(lambda net: objective(net, data), theta, jax.grad(meta.outer_loss)(theta, data), rtol=1e-5)
+
+    def test_with_full_td_gradients_it_is_the_exact_gradient(self):
+        meta = learner(outer_target="kept", td_gradient="full", target_decay=None)
+        theta, data = small_network(0), samples(fixed_targets=False)
+        objective = jax.jit(meta.outer_loss)
+        assert_gradient(lambda net: objective(net, data), theta, jax.grad(meta.outer_loss)(theta, data), rtol=1e-5)
+
+    def test_first_order_takes_the_posterior_s_jacobian_for_the_identity(self):
+        meta, theta, data = learner(outer_target="kept", first_order=True), small_network(0), samples()
+        ours = jax.grad(meta.outer_loss)(theta, data)
+        expected = mean_of_pull(meta, theta, data, through_posterior=True)
+        assert_trees_close(ours, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.usefixtures("float64")
+class TestStoppedTarget:
+    """Q_φ as a constant target: the gradient is that of a regression on Q_φ."""
+
+    @pytest.mark.parametrize("first_order", [False, True])
+    def test_it_is_the_regression_s_gradient(self, first_order):
+        meta, theta, data = learner(first_order=first_order), small_network(0), samples()
+        ours = jax.grad(meta.outer_loss)(theta, data)
+        assert_trees_close(ours, mean_of_pull(meta, theta, data), rtol=1e-9, atol=1e-12)
+
+    def test_it_differs_from_the_kept_one(self):
+        theta, data = small_network(0), samples()
+        stopped, kept = (jax.grad(learner(outer_target=how).outer_loss)(theta, data) for how in ("stopped", "kept"))
+        assert float(jnp.abs(stopped.value_head.bias - kept.value_head.bias).max()) > 1e-4
+
+
+def mean_of_pull(meta, theta, data, *, through_posterior=False):
+    """Mean over tasks and samples of 2·(Q_θ − Q_φ)·∇Q_θ; less ∇Q_φ where that is let through."""
+    gradients = []
+    for task in range(TASKS):
+        own = of_task(data, task)
+        phi = adapt(meta.task_td_loss, theta, own, step_size=ALPHA)
+        for index in range(BATCH):
+            obs, action = own.batch.obs[index], own.batch.action[index]
+            (q, slope), (target, target_slope) = (
+                jax.value_and_grad(lambda net, obs=obs, action=action: net(obs)[action])(net) for net in (theta, phi)
+            )
+            if through_posterior:
+                slope = jax.tree.map(jnp.subtract, slope, target_slope)
+            gradients.append(jax.tree.map(lambda g, pull=2 * (q - target): pull * g, slope))
+    return jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *gradients)
+
+
+class TestTDLoss:
+    """Mean of Eq. 5 over a task's batch, by either kind of target."""
+
+    def expected(self, next_q):
+        batch, theta = of_task(samples().batch, 0), small_network(0)
+        errors = [
+            float(batch.reward[i] + batch.discount[i] * next_q[i].max() - theta(batch.obs[i])[batch.action[i]])
+            for i in range(BATCH)
+        ]
+        return np.mean(np.square(errors))
+
+    def test_with_the_averaged_network_s_targets(self):
+        own = of_task(samples(), 0)
+        loss = learner().task_td_loss(small_network(0), own)
+        assert float(loss) == pytest.approx(self.expected(own.next_q), rel=1e-5)
+
+    def test_with_its_own_targets(self):
+        own = of_task(samples(fixed_targets=False), 0)
+        next_q = jax.vmap(small_network(0))(own.batch.next_obs)
+        assert float(learner().task_td_loss(small_network(0), own)) == pytest.approx(self.expected(next_q), rel=1e-5)
+
+    def test_semi_and_full_gradients_differ_only_with_own_targets(self):
+        theta = small_network(0)
+        for fixed, differ in ((True, False), (False, True)):
+            own = of_task(samples(fixed_targets=fixed), 0)
+            semi, full = (
+                jax.grad(learner(td_gradient=kind).task_td_loss)(theta, own).value_head.bias
+                for kind in ("semi", "full")
+            )
+            assert bool(jnp.abs(semi - full).max() > 1e-3) is differ
+
+
+def iterate(meta):
+    """Four iterations; the states after each."""
+    step, states = jax.jit(meta.step), [meta.init(jax.random.key(0))]
+    for _ in range(TINY.iterations):
+        states.append(step(states[-1])[0])
+    return states
+
+
+@pytest.fixture(scope="module")
+def averaged_from_half():
+    return iterate(learner(averaging_start=0.5))
+
+
+class TestAveraging:
+    def test_before_its_start_the_average_is_theta(self, averaged_from_half):
+        for state in averaged_from_half[:3]:
+            assert_trees_close(state.average, state.theta, rtol=1e-6)
+
+    def test_from_its_start_it_is_the_mean_of_theta(self, averaged_from_half):
+        # Half of four iterations: the third and the fourth are averaged.
+        third, fourth = averaged_from_half[3], averaged_from_half[4]
+        assert_trees_close(third.average, third.theta, rtol=1e-6)
+        mean = jax.tree.map(lambda a, b: (a + b) / 2, third.theta, fourth.theta)
+        assert_trees_close(fourth.average, mean, rtol=1e-5)
+        assert float(jnp.abs(third.theta.value_head.bias - fourth.theta.value_head.bias).max()) > 1e-4
+
+    def test_iterations_are_counted(self, averaged_from_half):
+        assert [int(state.iteration) for state in averaged_from_half] == [0, 1, 2, 3, 4]
+
+    def test_the_target_follows_theta_by_its_decay(self, averaged_from_half):
+        before, after = averaged_from_half[1:3]
+        expected = jax.tree.map(lambda old, new: 0.9 * old + 0.1 * new, before.target, after.theta)
+        assert_trees_close(after.target, expected)
+
+
+class TestReport:
+    def test_it_changes_nothing(self):
+        meta = learner()
+        state = meta.init(jax.random.key(0))
+        copy = jax.tree.map(jnp.copy, state)
+        first, second = jax.jit(meta.report)(state), jax.jit(meta.report)(state)
+        assert_trees_identical(state, copy)
+        assert_trees_identical(first, second)
+
+    def test_it_is_the_average_network_and_its_return(self):
+        meta = learner()
+        state = meta.init(jax.random.key(0))
+        report = jax.jit(meta.report)(state)
+        assert_trees_identical(report["prior"], state.average)
+        assert report["return"].shape == ()
+
+
+class TestSettings:
+    @pytest.mark.parametrize(
+        "name", ["iterations", "tasks", "steps_per_task", "batch_size", "inner_steps", "outer_updates"]
+    )
+    @pytest.mark.parametrize("value", [0, -3])
+    def test_counts_are_at_least_one(self, name, value):
+        with pytest.raises(UpslopeError, match=f"{name} is {value}"):
+            MetaTrainingConfig(**{name: value})
+
+    def test_averaging_from_the_start_to_the_end_takes_the_last_theta(self):
+        # averaging_start = 1, as printed: nothing to average over.
+        meta = learner(averaging_start=1.0)
+        theta, old = small_network(0), small_network(1)
+        state = dataclasses.replace(meta.init(jax.random.key(0)), average=old, iteration=jnp.asarray(3))
+        assert_trees_close(meta._average(theta, state), theta, rtol=1e-6)

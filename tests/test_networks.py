@@ -1,0 +1,110 @@
+"""The networks: shapes, the dueling aggregation, the fixed input scale, stacking."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from support.batches import small_network
+from upslope.networks import MLP, Actor, Critic, DuelingQ, QNetwork
+from upslope.potentials import constant_potential, mean_potential, stack
+
+SCALE = (0.5, 2.0, 10.0)
+OBS = jnp.array([1.0, -2.0, 0.3])
+
+
+@pytest.fixture(scope="module")
+def many_obs():
+    return 3 * jax.random.normal(jax.random.key(9), (50, 3))
+
+
+def test_value_is_exactly_the_best_action_value(many_obs):
+    network = small_network(actions=4)
+    np.testing.assert_array_equal(jax.vmap(network.value)(many_obs), jax.vmap(network)(many_obs).max(axis=-1))
+
+
+def test_heads_are_value_and_raw_advantage(many_obs):
+    network = small_network(actions=4)
+    value, advantage = jax.vmap(network.heads)(many_obs)
+    np.testing.assert_array_equal(value, jax.vmap(network.value)(many_obs))
+    np.testing.assert_array_equal(advantage, jax.vmap(network.advantage)(many_obs))
+    assert np.abs(advantage.max(axis=-1)).min() > 1e-4, "the raw advantage is not centred"
+
+
+def test_mlp_by_hand():
+    mlp = MLP(jax.random.key(0), 2, (1,), (10.0, 1.0))
+    layer = mlp.layers[0]
+    x = np.array([0.3, -0.7], np.float32)
+    by_hand = max(0.0, float(layer.weight[0] @ (x * [10.0, 1.0]) + layer.bias[0]))
+    assert float(mlp(jnp.asarray(x))[0]) == pytest.approx(by_hand, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", [DuelingQ, QNetwork, Actor])
+def test_one_observation_gives_one_number_per_action(kind):
+    assert kind(jax.random.key(0), 3, 4, (6, 5), SCALE)(OBS).shape == (4,)
+
+
+def test_value_is_one_number():
+    assert small_network().value(OBS).shape == ()
+
+
+def test_critic_takes_observation_and_action_to_one_number():
+    critic = Critic(jax.random.key(0), 3, 2, (6, 5), SCALE)
+    assert critic(OBS, jnp.array([0.1, 0.2])).shape == ()
+    assert critic.torso.scale == (*SCALE, 1.0, 1.0), "actions come in [−1, 1] already"
+
+
+def test_actor_is_bounded_and_tanh_of_its_pre_activation():
+    actor = Actor(jax.random.key(0), 3, 4, (6, 5))
+    action = actor(100 * OBS)
+    assert np.abs(action).max() <= 1
+    np.testing.assert_allclose(action, np.tanh(actor.pre_activation(100 * OBS)), rtol=1e-6)
+
+
+def test_the_default_is_the_paper_s_two_layers_of_32():
+    network = DuelingQ(jax.random.key(0), 4, 2)
+    assert [layer.weight.shape for layer in network.torso.layers] == [(32, 4), (32, 32)]
+    assert network.value_head.weight.shape == (1, 32)
+    assert network.advantage_head.weight.shape == (2, 32)
+
+
+class TestInputScale:
+    def test_it_is_no_trained_leaf(self):
+        network = DuelingQ(jax.random.key(0), 3, 2, (6, 5), SCALE)
+        # Weight and bias of two layers and two heads: 6·3 + 6 + 5·6 + 5 + 5 + 1 + 2·5 + 2 numbers.
+        assert sum(leaf.size for leaf in jax.tree.leaves(network)) == 77
+        assert len(jax.tree.leaves(network)) == 8
+
+    def test_it_multiplies_the_observation(self):
+        scaled = DuelingQ(jax.random.key(0), 3, 2, (6, 5), SCALE)
+        plain = DuelingQ(jax.random.key(0), 3, 2, (6, 5))
+        np.testing.assert_allclose(scaled(OBS), plain(OBS * jnp.asarray(SCALE)), rtol=1e-6)
+
+    def test_it_survives_a_gradient_step(self):
+        network = DuelingQ(jax.random.key(0), 3, 2, (6, 5), SCALE)
+        gradient = jax.grad(lambda net: net.value(OBS))(network)
+        assert jax.tree.map(lambda p, g: p - g, network, gradient).torso.scale == SCALE
+
+
+class TestStacking:
+    networks = tuple(small_network(seed) for seed in range(3))
+
+    def test_mapping_over_a_stack_equals_each_network_alone(self, many_obs):
+        together = jax.vmap(lambda net: jax.vmap(net)(many_obs))(stack(list(self.networks)))
+        for network, row in zip(self.networks, together, strict=True):
+            np.testing.assert_allclose(row, jax.vmap(network)(many_obs), rtol=1e-5, atol=1e-6)
+
+    def test_mean_potential_by_hand(self):
+        potential = mean_potential(stack(list(self.networks)), scale=2.0, bias=5.0)
+        values = [float(network.value(OBS)) for network in self.networks]
+        assert float(potential(OBS)) == pytest.approx(5 + 2 * sum(values) / 3, abs=1e-5)
+
+    def test_constant_potential_is_constant_and_of_the_same_form(self):
+        networks = stack(list(self.networks))
+        constant = constant_potential(networks, 7.5)
+        assert float(constant(OBS)) == float(constant(-OBS)) == 7.5
+        assert jax.tree.structure(constant) == jax.tree.structure(mean_potential(networks))
+
+
+def test_networks_of_different_keys_differ():
+    assert not np.allclose(small_network(0)(OBS), small_network(1)(OBS))
