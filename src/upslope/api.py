@@ -13,7 +13,7 @@ from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHea
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.errors import UpslopeError
-from upslope.meta_training import MetaTraining, MetaTrainingConfig
+from upslope.meta_training import MetaTraining, MetaTrainingConfig, best_snapshot
 from upslope.prior import Prior, trained_on
 from upslope.run.loop import Outcome, broadcast, run
 from upslope.run.observers import Observer
@@ -36,13 +36,19 @@ def meta_train(
     """
     config = config or MetaTrainingConfig()
     keys = jax.random.key(seed)[None]
-    learners = broadcast(MetaTraining(family, config), (1,))
     outcome = run(
-        learners, keys, updates=config.iterations, every=25, title="meta-training", observers=observers
+        broadcast(MetaTraining(family, config), (1,)),
+        keys,
+        updates=config.iterations,
+        every=config.snapshot_every,
+        title="meta-training",
+        observers=observers,
     )
-    network = jax.tree.map(lambda leaf: leaf[0], outcome.states.average)
-    settings = asdict(config) | {"return_on_training_tasks": float(outcome.reports["return"][0, -1])}
-    return Prior(network, trained_on(family, config.hidden, seed, settings))
+    returns = outcome.reports["return"][0]
+    best = best_snapshot(returns, config)
+    network = jax.tree.map(lambda leaf: jnp.asarray(leaf[0, best]), outcome.reports["prior"])
+    measured = {"iteration": int(outcome.updates[best]), "return_on_training_tasks": float(returns[best])}
+    return Prior(network, trained_on(family, network, seed, asdict(config) | measured))
 
 
 def adapt(
@@ -172,7 +178,8 @@ def check_potential(potential: Potential, family: AbstractFamily) -> Any:
         ) from error
     if getattr(shape, "shape", None) != ():
         raise UpslopeError(
-            f"The potential returned {getattr(shape, 'shape', type(shape))} for one observation: return a single number."
+            f"The potential returned {getattr(shape, 'shape', type(shape))} for one observation: "
+            "return a single number."
         )
     if not bool(jnp.isfinite(potential(obs))):
         raise UpslopeError("The potential is not finite at the zero observation: make it finite everywhere.")

@@ -63,10 +63,8 @@ def meta_loss(
 ) -> Scalar:
     """The objective under ∇ in Eq. 3: E_i of ``outer_loss(θ, φ_i, data_i)``, with φ_i adapted by Eq. 2.
 
-    MAML's own outer loss is L_i(φ_i); Algorithm 1's is the distance of Q_θ and Q_φ (Eq. 7).
-
-    Args:
-        data: samples with a leading axis of tasks ``[tasks, ...]``.
+    MAML's own outer loss is L_i(φ_i); Algorithm 1's is the distance of Q_θ and Q_φ (Eq. 7). The samples ``data`` have
+    a leading axis of tasks ``[tasks, ...]``; all other arguments are those of `adapt`.
     """
 
     def loss_of_task(task_data: Data) -> Scalar:

@@ -6,14 +6,15 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from upslope.errors import UpslopeError
 from upslope.learner import AbstractLearner
 from upslope.losses import prior_learning_loss, td_loss
 from upslope.maml import meta_loss
-from upslope.networks import DuelingQ
+from upslope.networks import Activation, DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.replay import Replay
 from upslope.tasks.family import AbstractFamily
@@ -30,6 +31,7 @@ class MetaTrainingConfig:
         steps_per_task: environment steps in each task's fresh replay.
         batch_size: samples per task behind each φ_i; the outer loss uses the same ones.
         hidden: widths of the hidden layers.
+        activation: of the hidden layers; the paper names none.
         inner_step_size: α.
         inner_steps: N.
         outer_step_size: β at the start.
@@ -42,7 +44,10 @@ class MetaTrainingConfig:
         td_gradient: "semi" (TD targets are constants) or "full" (Eq. 5 differentiated on both sides).
         target_decay: decay per iteration of the averaged network in the inner TD target; None for no such network.
         epsilon: random-action share of the first and of the last task of a batch; those between are spaced evenly.
-        averaging_start: share of training after which θ is averaged into the prior; 1 takes the last θ, as printed.
+        averaging: decay per iteration of the moving average of θ that is the prior; 0 takes θ itself, as printed.
+        select_from: the prior is the best snapshot after this share of training, by its greedy return on extra
+            training tasks; 1 takes the last, as printed.
+        snapshot_every: iterations between snapshots.
         evaluation_tasks: extra training tasks, never test tasks, on which snapshots are tried.
         evaluation_episodes: greedy episodes on each of them.
     """
@@ -52,6 +57,7 @@ class MetaTrainingConfig:
     steps_per_task: int = 200
     batch_size: int = 64
     hidden: tuple[int, ...] = (32, 32)
+    activation: Activation = "tanh"
     inner_step_size: float = 0.01
     inner_steps: int = 1
     outer_step_size: float = 0.005
@@ -63,12 +69,22 @@ class MetaTrainingConfig:
     td_gradient: Literal["semi", "full"] = "semi"
     target_decay: float | None = 0.9
     epsilon: tuple[float, float] = (0.05, 0.95)
-    averaging_start: float = 1.0
+    averaging: float = 0.97
+    select_from: float = 0.5
+    snapshot_every: int = 10
     evaluation_tasks: int = 20
     evaluation_episodes: int = 3
 
     def __post_init__(self) -> None:
-        for name in ("iterations", "tasks", "steps_per_task", "batch_size", "inner_steps", "outer_updates"):
+        for name in (
+            "iterations",
+            "tasks",
+            "steps_per_task",
+            "batch_size",
+            "inner_steps",
+            "outer_updates",
+            "snapshot_every",
+        ):
             if getattr(self, name) < 1:
                 raise UpslopeError(f"{name} is {getattr(self, name)}, but it counts something: give at least 1.")
 
@@ -79,15 +95,16 @@ class MetaTrainingState(eqx.Module):
     Attributes:
         theta: θ.
         target: the averaged network of the inner TD target.
-        average: mean of θ over the iterations since averaging began: the prior.
+        average: moving average of θ: the prior.
+        trial_key: draws the extra training tasks; the same for every snapshot, so that they compare.
     """
 
     key: Key
+    trial_key: Key
     theta: DuelingQ
     target: DuelingQ
     average: DuelingQ
     optimiser: optax.OptState
-    iteration: Int[Array, ""]
 
 
 class TaskSamples(eqx.Module):
@@ -104,12 +121,17 @@ class MetaTraining(AbstractLearner):
     config: MetaTrainingConfig = eqx.field(static=True, default=MetaTrainingConfig())
 
     def init(self, key: Key) -> MetaTrainingState:
-        key, network_key = jax.random.split(key)
-        family = self.family
+        key, trial_key, network_key = jax.random.split(key, 3)
+        family, config = self.family, self.config
         theta = DuelingQ(
-            network_key, family.observation_shape[0], family.actions, self.config.hidden, family.observation_scale
+            network_key,
+            family.observation_shape[0],
+            family.actions,
+            config.hidden,
+            family.observation_scale,
+            config.activation,
         )
-        return MetaTrainingState(key, theta, theta, theta, self._optimiser().init(theta), jnp.zeros((), jnp.int32))
+        return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta))
 
     def step(self, state: MetaTrainingState) -> tuple[MetaTrainingState, Metrics]:
         key, task_key, collect_key, update_key = jax.random.split(state.key, 4)
@@ -125,7 +147,12 @@ class MetaTraining(AbstractLearner):
         keys = jax.random.split(update_key, self.config.outer_updates)
         (theta, optimiser), losses = jax.lax.scan(update, (state.theta, state.optimiser), keys)
         following = MetaTrainingState(
-            key, theta, self._target(theta, state.target), self._average(theta, state), optimiser, state.iteration + 1
+            key,
+            state.trial_key,
+            theta,
+            self._target(theta, state.target),
+            self._average(theta, state.average),
+            optimiser,
         )
         return following, {"outer_loss": jnp.mean(losses)}
 
@@ -175,7 +202,7 @@ class MetaTraining(AbstractLearner):
 
     def report(self, state: MetaTrainingState) -> dict[str, Any]:
         """The prior as it stands, and its mean greedy return on extra training tasks."""
-        task_key, episode_key = jax.random.split(jax.random.fold_in(state.key, 0))
+        task_key, episode_key = jax.random.split(state.trial_key)
         tasks = self.family.sample_many(task_key, self.config.evaluation_tasks)
         tasks = jax.tree.map(lambda leaf: jnp.repeat(leaf, self.config.evaluation_episodes, axis=0), tasks)
         returns = self.family.returns(episode_key, tasks, Greedy(state.average))
@@ -193,7 +220,20 @@ class MetaTraining(AbstractLearner):
             return theta
         return optax.incremental_update(theta, target, 1 - self.config.target_decay)
 
-    def _average(self, theta: DuelingQ, state: MetaTrainingState) -> DuelingQ:
-        since = state.iteration + 1 - int(self.config.averaging_start * self.config.iterations)
-        share = 1 / jnp.maximum(since, 1)
-        return optax.incremental_update(theta, state.average, share)
+    def _average(self, theta: DuelingQ, average: DuelingQ) -> DuelingQ:
+        return optax.incremental_update(theta, average, 1 - self.config.averaging)
+
+
+def best_snapshot(returns: Float[np.ndarray, "snapshots"], config: MetaTrainingConfig) -> int:
+    """Which snapshot becomes the prior: of those after ``select_from``, the best on extra training tasks.
+
+    Args:
+        returns: each snapshot's greedy return, evenly spaced over the training, the first of them before any.
+        config: of the training.
+
+    Returns:
+        Its index; of equals the last.
+    """
+    first = min(int(np.ceil(config.select_from * (len(returns) - 1))), len(returns) - 1)
+    candidates = np.asarray(returns)[first:]
+    return len(returns) - 1 - int(candidates[::-1].argmax())

@@ -3,6 +3,9 @@
 All are plain PyTrees that act on one observation; map over batches at the call site.
 """
 
+from collections.abc import Callable
+from typing import Literal
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,24 +16,31 @@ from upslope.types import Key, Observation, Scalar
 
 Hidden = tuple[int, ...]
 Scale = tuple[float, ...]
+Activation = Literal["relu", "tanh"]
+
+ACTIVATIONS: dict[str, Callable] = {"relu": jax.nn.relu, "tanh": jnp.tanh}
 
 
 class MLP(eqx.Module):
-    """Inputs times a fixed scale, then ReLU layers: the shared torso."""
+    """Inputs times a fixed scale, then fully connected layers: the shared torso."""
 
     layers: tuple[eqx.nn.Linear, ...]
     scale: Scale = eqx.field(static=True)
+    activation: Activation = eqx.field(static=True)
 
-    def __init__(self, key: Key, inputs: int, hidden: Hidden, scale: Scale | None = None):
+    def __init__(
+        self, key: Key, inputs: int, hidden: Hidden, scale: Scale | None = None, activation: Activation = "relu"
+    ):
         widths = (inputs, *hidden)
         keys = jax.random.split(key, len(hidden))
         self.layers = tuple(eqx.nn.Linear(n, m, key=k) for n, m, k in zip(widths[:-1], hidden, keys, strict=True))
         self.scale = scale if scale is not None else (1.0,) * inputs
+        self.activation = activation
 
     def __call__(self, inputs: Float[Array, "inputs"]) -> Float[Array, "features"]:
         features = inputs * jnp.asarray(self.scale, inputs.dtype)
         for layer in self.layers:
-            features = jax.nn.relu(layer(features))
+            features = ACTIVATIONS[self.activation](layer(features))
         return features
 
 
@@ -41,9 +51,17 @@ class DuelingQ(eqx.Module):
     value_head: eqx.nn.Linear
     advantage_head: eqx.nn.Linear
 
-    def __init__(self, key: Key, inputs: int, actions: int, hidden: Hidden = (32, 32), scale: Scale | None = None):
+    def __init__(
+        self,
+        key: Key,
+        inputs: int,
+        actions: int,
+        hidden: Hidden = (32, 32),
+        scale: Scale | None = None,
+        activation: Activation = "relu",
+    ):
         torso_key, value_key, advantage_key = jax.random.split(key, 3)
-        self.torso = MLP(torso_key, inputs, hidden, scale)
+        self.torso = MLP(torso_key, inputs, hidden, scale, activation)
         self.value_head = eqx.nn.Linear(hidden[-1], 1, key=value_key)
         self.advantage_head = eqx.nn.Linear(hidden[-1], actions, key=advantage_key)
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from upslope.errors import UpslopeError
-from upslope.networks import DuelingQ
+from upslope.networks import ACTIVATIONS, Activation, DuelingQ
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Observation, Scalar
 
@@ -33,6 +34,7 @@ class TrainedOn:
         observation_scale: what the network multiplies observations with.
         actions: of the A head.
         hidden: widths of the hidden layers.
+        activation: of the hidden layers.
         seed: of the meta-training.
         settings: of the meta-training, and what was measured at its end.
         version: of upslope.
@@ -44,6 +46,7 @@ class TrainedOn:
     observation_scale: tuple[float, ...]
     actions: int
     hidden: tuple[int, ...]
+    activation: Activation
     seed: int
     settings: dict[str, Any] = field(default_factory=dict)
     version: str = ""
@@ -134,17 +137,16 @@ class Prior:
         return cls(_fill(path, trained_on, tensors), trained_on)
 
 
-def trained_on(family: AbstractFamily, hidden: tuple[int, ...], seed: int, settings: dict[str, Any]) -> TrainedOn:
+def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: dict[str, Any]) -> TrainedOn:
     """The provenance of a prior meta-trained on a family."""
-    from importlib.metadata import version
-
     return TrainedOn(
         family=family.name,
         gamma=family.gamma,
         observation_shape=family.observation_shape,
         observation_scale=family.observation_scale,
         actions=family.actions,
-        hidden=hidden,
+        hidden=tuple(layer.weight.shape[0] for layer in network.torso.layers),
+        activation=network.torso.activation,
         seed=seed,
         settings=settings,
         version=version("upslope"),
@@ -163,6 +165,8 @@ def _read_header(path: Path, metadata: dict[str, str]) -> TrainedOn:
         entries = json.loads(metadata["trained_on"])
         for name in ("observation_shape", "observation_scale", "hidden"):
             entries[name] = tuple(entries[name])
+        if entries["activation"] not in ACTIVATIONS:
+            raise ValueError(f"activation {entries['activation']!r} is unknown")
         return TrainedOn(**entries)
     except (KeyError, TypeError, ValueError) as error:
         raise UpslopeError(f"{path} has a damaged header ({error}): make the prior again.") from error
@@ -177,6 +181,7 @@ def _fill(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> 
         trained_on.actions,
         trained_on.hidden,
         trained_on.observation_scale,
+        trained_on.activation,
     )
     names = [name for name, _ in _named_leaves(skeleton)]
     if sorted(names) != sorted(tensors):

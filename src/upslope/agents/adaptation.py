@@ -21,22 +21,14 @@ from upslope.types import Key, Metrics, Scalar, Task, Transition
 
 @runtime_checkable
 class UpdateRule(Protocol):
-    """How one arm turns a batch into new parameters: Algorithm 2, MAML, and the controls between them.
-
-    Rules compare by value, so that equal ones share compiled programs.
-    """
+    """How one arm turns a batch into new parameters: Algorithm 2, MAML, and the controls between them."""
 
     def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
         """φ after one update on raw transitions ``[n, ...]``."""
         ...
 
-    def scores(self, phi: DuelingQ) -> Callable:
-        """What the policy maximises."""
-        ...
 
-
-@dataclass(frozen=True)
-class AdvantageHead:
+class AdvantageHead(eqx.Module):
     """Algorithm 2's two steps: A by Eq. 8 with the current potential, then V by Eq. 9.
 
     Attributes:
@@ -45,7 +37,7 @@ class AdvantageHead:
             instead would make Eq. 9's gradient identically zero.
     """
 
-    centred: bool = True
+    centred: bool = eqx.field(static=True, default=True)
 
     def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
         level = self.level(prior)
@@ -55,9 +47,6 @@ class AdvantageHead:
     def level(self, prior: DuelingQ) -> Callable:
         """What is subtracted from A(s, ·)."""
         return (lambda obs: jnp.max(prior.advantage(obs))) if self.centred else (lambda obs: jnp.zeros(()))
-
-    def scores(self, phi: DuelingQ) -> Callable:
-        return phi.advantage
 
 
 def advantage_step_loss(phi: DuelingQ, potential: DuelingQ, batch: Transition, level: Callable) -> Scalar:
@@ -109,6 +98,8 @@ class AdaptationState(eqx.Module):
 class Adaptation(AbstractLearner):
     """Few-shot learning of one task from a prior, by one of the update rules.
 
+    The policy follows the A head, whatever the rule: Eq. 6's Q has its maximum at the same action.
+
     Attributes:
         prior: θ, where φ starts.
         step_size: α of plain gradient descent.
@@ -118,7 +109,7 @@ class Adaptation(AbstractLearner):
     task: Task
     prior: DuelingQ
     step_size: Scalar
-    rule: UpdateRule = eqx.field(static=True, default=AdvantageHead())
+    rule: UpdateRule = AdvantageHead()
     config: AdaptationConfig = eqx.field(static=True, default=AdaptationConfig())
 
     def init(self, key: Key) -> AdaptationState:
@@ -128,7 +119,7 @@ class Adaptation(AbstractLearner):
 
     def step(self, state: AdaptationState) -> tuple[AdaptationState, Metrics]:
         key, act_key, sample_key = jax.random.split(state.key, 3)
-        policy = EpsilonGreedy(self.rule.scores(state.phi), self.config.epsilon)
+        policy = EpsilonGreedy(state.phi.advantage, self.config.epsilon)
         experience = state.experience.extend(act_key, self.family, self.task, policy, self.config.steps_per_update)
         batch = experience.sample(sample_key, self.config.batch_size).transition
         phi = self.rule.update(state.phi, self.prior, batch, self.step_size)
@@ -137,5 +128,5 @@ class Adaptation(AbstractLearner):
 
     def report(self, state: AdaptationState) -> dict[str, Scalar]:
         key = jax.random.fold_in(state.key, 0)
-        policy = Greedy(self.rule.scores(state.phi))
+        policy = Greedy(state.phi.advantage)
         return {"return": greedy_return(key, self.family, self.task, policy, self.config.evaluation_episodes)}

@@ -1,20 +1,18 @@
 """Two controls that tell what Algorithm 2's gain comes from: each changes one thing about it."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Int
 
-from upslope.agents.adaptation import AdvantageHead, advantage_step_loss
+from upslope.agents.adaptation import AdvantageHead, UpdateRule, advantage_step_loss
 from upslope.losses import td_loss
 from upslope.maml import descend
 from upslope.networks import DuelingQ
 from upslope.types import Scalar, Transition
 
 
-@dataclass(frozen=True)
-class FrozenPotential:
+class FrozenPotential(eqx.Module):
     """V frozen at the prior, two centred A steps: pure shaping. Tells what moving the potential adds."""
 
     def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
@@ -23,19 +21,12 @@ class FrozenPotential:
             phi = descend(phi, jax.grad(advantage_step_loss)(phi, prior, batch, level), step_size)
         return phi
 
-    def scores(self, phi: DuelingQ) -> Callable:
-        return phi.advantage
 
-
-@dataclass(frozen=True)
-class CentredTD:
+class CentredTD(eqx.Module):
     """One TD step on V + A − frozen max A. Tells what is owed to not differentiating through a running maximum."""
 
     def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
         return descend(phi, jax.grad(centred_td_loss)(phi, prior, batch), step_size)
-
-    def scores(self, phi: DuelingQ) -> Callable:
-        return phi.advantage
 
 
 def centred_td_loss(phi: DuelingQ, prior: DuelingQ, batch: Transition) -> Scalar:
@@ -47,3 +38,13 @@ def centred_td_loss(phi: DuelingQ, prior: DuelingQ, batch: Transition) -> Scalar
 
     q, next_q = jax.vmap(centred_q)(batch.obs), jax.lax.stop_gradient(jax.vmap(centred_q)(batch.next_obs))
     return jnp.mean(jax.vmap(td_loss)(q, batch.action, batch.reward, batch.discount, next_q))
+
+
+class OneOf(eqx.Module):
+    """One of several rules, chosen by a number: a comparison of all of them compiles one program."""
+
+    rules: tuple[UpdateRule, ...]
+    index: Int[Array, ""]
+
+    def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
+        return jax.lax.switch(self.index, [rule.update for rule in self.rules], phi, prior, batch, step_size)

@@ -1,8 +1,6 @@
 """The MAML baseline: plain fine-tuning of the whole prior by Q-learning, no shaping."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -12,22 +10,18 @@ from upslope.networks import DuelingQ
 from upslope.types import Scalar, Transition
 
 
-@dataclass(frozen=True)
-class FineTuning:
+class FineTuning(eqx.Module):
     """MAML's way to a new task: Eq. 2 on the TD error of Eq. 5.
 
     Attributes:
         steps: gradient steps per update. Two make as many gradient steps as Algorithm 2's pair.
     """
 
-    steps: int = 1
+    steps: int = eqx.field(static=True, default=1)
 
     def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
         del prior
         return adapt(fine_tuning_loss, phi, batch, step_size=step_size, steps=self.steps)
-
-    def scores(self, phi: DuelingQ) -> Callable:
-        return phi.__call__
 
 
 def fine_tuning_loss(phi: DuelingQ, batch: Transition) -> Scalar:

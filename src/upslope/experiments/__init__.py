@@ -1,0 +1,1 @@
+"""The paper's figures as data: families × arms × seeds; their pictures and reports."""

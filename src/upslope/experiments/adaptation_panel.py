@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
-from upslope.agents.adaptation_controls import CentredTD, FrozenPotential
+from upslope.agents.adaptation_controls import CentredTD, FrozenPotential, OneOf
 from upslope.agents.fine_tuning import FineTuning
 from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_per_task
@@ -71,7 +71,8 @@ def adaptation_panel(
     found: dict[str, dict[str, Arm]] = {str(stop): {} for stop in panel.stops}
     zero_shot = np.zeros(len(panel.stops))
     compiling = running = 0.0
-    for name, rule in RULES.items():
+    for number, name in enumerate(RULES):
+        rule = OneOf(tuple(RULES.values()), jnp.asarray(number))
         # Learner t of the tuning runs tries step size t mod S on tuning task t: the test runs' shape, so one program.
         sizes = jnp.asarray([panel.step_sizes[t % len(panel.step_sizes)] for t in range(count)])
         tried = jnp.broadcast_to(sizes, (len(panel.stops), count))
@@ -120,9 +121,7 @@ def _adapt(
         config,
     )
     keys = jnp.broadcast_to(keys_per_task(first_seed, seeds, count, purpose), batch)
-    return run(
-        learners, keys, updates=updates, every=1, title=title, observers=observers, allow_divergence=True
-    )
+    return run(learners, keys, updates=updates, every=1, title=title, observers=observers, allow_divergence=True)
 
 
 def _best_sizes(scores: np.ndarray, step_sizes: tuple[float, ...]) -> list[float]:

@@ -53,9 +53,9 @@ class Figure1Config:
     dqn_updates: int = 1000
     ddpg_updates: int = 3000
     every: int = 100
-    meta_training: MetaTrainingConfig = field(default_factory=lambda: MetaTrainingConfig(averaging_start=0.5))
+    meta_training: MetaTrainingConfig = field(default_factory=MetaTrainingConfig)
     oracle: MetaTrainingConfig = field(
-        default_factory=lambda: MetaTrainingConfig(tasks=4, iterations=300, averaging_start=0.5, evaluation_tasks=1)
+        default_factory=lambda: MetaTrainingConfig(tasks=4, iterations=300, evaluation_tasks=1)
     )
     panel: AdaptationPanel = field(default_factory=AdaptationPanel)
     adaptation: AdaptationConfig = field(default_factory=lambda: AdaptationConfig(evaluation_episodes=1))
@@ -96,22 +96,34 @@ def figure1(
         tasks = family.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
         priors = meta_train_priors(family, config.meta_training, seed, config.seeds, observers)
         if "left" in panels:
-            finished["left"] = adaptation_panel(
-                family, priors, tasks, config.panel, config.adaptation, seed, observers
-            )
+            finished["left"] = adaptation_panel(family, priors, tasks, config.panel, config.adaptation, seed, observers)
         if "middle" in panels or "right" in panels:
             levels = mean_levels(family, priors.final, key_for(seed, Purpose.LEVEL))
             best = oracles(family, tasks, config.oracle, seed, observers)
             arms = shaping_arms(family, priors.final, levels, best, config.tasks)
-            schedule = {"every": config.every, "observers": observers}
             if "middle" in panels:
                 finished["middle"] = shaping_panel(
-                    "Shaping only: DQN", family, tasks, arms, config.dqn, seed, updates=config.dqn_updates, **schedule
+                    "Shaping only: DQN",
+                    family,
+                    tasks,
+                    arms,
+                    config.dqn,
+                    seed,
+                    updates=config.dqn_updates,
+                    every=config.every,
+                    observers=observers,
                 )
             if "right" in panels:
-                pushes = cartpoles(config.length, gamma=config.gamma, continuous=True)
                 finished["right"] = shaping_panel(
-                    "Shaping only: DDPG", pushes, tasks, arms, config.ddpg, seed, updates=config.ddpg_updates, **schedule
+                    "Shaping only: DDPG",
+                    cartpoles(config.length, gamma=config.gamma, continuous=True),
+                    tasks,
+                    arms,
+                    config.ddpg,
+                    seed,
+                    updates=config.ddpg_updates,
+                    every=config.every,
+                    observers=observers,
                 )
         returns = zero_shot_returns(family, priors.final, tasks, key_for(seed, Purpose.ZERO_SHOT))
         rows = describe_priors(np.asarray(returns), seed)
@@ -119,7 +131,7 @@ def figure1(
         name="fig1",
         panels=finished,
         priors=rows,
-        training={"iterations": priors.iterations, "returns": priors.returns},
+        training={"iterations": priors.iterations, "returns": priors.returns, "chosen": priors.chosen},
         configuration=asdict(config),
         quick=is_quick,
         seconds_compiling=clock.seconds,

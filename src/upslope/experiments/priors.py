@@ -9,34 +9,31 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.experiments.keys import Purpose, key_for, keys_for
-from upslope.meta_training import MetaTraining, MetaTrainingConfig
+from upslope.meta_training import MetaTraining, MetaTrainingConfig, best_snapshot
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.run.loop import broadcast, run
 from upslope.run.observers import Observer
-from upslope.tasks.family import AbstractFamily
-from upslope.tasks.single import SingleTask
+from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Task
-
-SNAPSHOT_EVERY = 25
 
 
 class Priors(NamedTuple):
     """What meta-training with several seeds left behind.
 
     Attributes:
-        final: the priors ``[seeds, ...]``.
+        final: the priors ``[seeds, ...]``, each the best of its snapshots on extra training tasks.
         snapshots: the priors as they stood at each of the iterations ``[seeds, snapshots, ...]``.
         iterations: of the snapshots ``[snapshots]``.
         returns: greedy returns on extra training tasks ``[seeds, snapshots]``.
-        seconds: compiling and running.
+        chosen: the iteration that each prior was taken from ``[seeds]``.
     """
 
     final: DuelingQ
     snapshots: DuelingQ
     iterations: np.ndarray
     returns: np.ndarray
-    seconds: tuple[float, float]
+    chosen: np.ndarray
 
     def stopped_at(self, iteration: int) -> DuelingQ:
         """The priors ``[seeds, ...]`` of Algorithm 1 stopped early, at the snapshot nearest to an iteration."""
@@ -45,7 +42,7 @@ class Priors(NamedTuple):
 
 
 def meta_train_priors(
-    family: AbstractFamily,
+    family: JaxTasks,
     config: MetaTrainingConfig,
     first_seed: int,
     seeds: int,
@@ -56,21 +53,18 @@ def meta_train_priors(
         broadcast(MetaTraining(family, config), (seeds,)),
         keys_for(first_seed, seeds, Purpose.META_TRAINING),
         updates=config.iterations,
-        every=SNAPSHOT_EVERY,
+        every=config.snapshot_every,
         title="meta-training",
         observers=observers,
     )
-    return Priors(
-        outcome.states.average,
-        outcome.reports["prior"],
-        outcome.updates,
-        outcome.reports["return"],
-        (outcome.seconds_compiling, outcome.seconds_running),
-    )
+    snapshots, returns = outcome.reports["prior"], outcome.reports["return"]
+    best = np.asarray([best_snapshot(row, config) for row in returns])
+    final = jax.tree.map(lambda leaf: leaf[np.arange(seeds), best], snapshots)
+    return Priors(final, snapshots, outcome.updates, returns, outcome.updates[best])
 
 
 def oracles(
-    family: AbstractFamily,
+    family: JaxTasks,
     tasks: Task,
     config: MetaTrainingConfig,
     first_seed: int,
@@ -81,7 +75,7 @@ def oracles(
     They are trained like the priors, on a family that always draws the one task.
     """
     count = jax.tree.leaves(tasks)[0].shape[0]
-    learners = MetaTraining(SingleTask(family, tasks), config)
+    learners = MetaTraining(family.only(tasks), config)
     outcome = run(
         learners,
         jax.random.split(key_for(first_seed, Purpose.ORACLE), count),
@@ -94,7 +88,7 @@ def oracles(
 
 
 @jax.jit
-def mean_levels(family: AbstractFamily, networks: DuelingQ, key: jax.Array) -> Float[Array, "seeds"]:
+def mean_levels(family: JaxTasks, networks: DuelingQ, key: jax.Array) -> Float[Array, "seeds"]:
     """Each prior's mean potential over the states that it visits on extra training tasks, ε-greedy with ε = 0.1."""
     task_key, reset_key, act_key = jax.random.split(key, 3)
     tasks = family.sample_many(task_key, 20)
@@ -108,9 +102,7 @@ def mean_levels(family: AbstractFamily, networks: DuelingQ, key: jax.Array) -> F
 
 
 @jax.jit
-def zero_shot_returns(
-    family: AbstractFamily, networks: DuelingQ, tasks: Task, key: jax.Array
-) -> Float[Array, "seeds tasks"]:
+def zero_shot_returns(family: JaxTasks, networks: DuelingQ, tasks: Task, key: jax.Array) -> Float[Array, "seeds tasks"]:
     """The greedy return of each prior on each task, before any learning there: the mean of five episodes."""
     count = jax.tree.leaves(tasks)[0].shape[0]
     copies = jax.tree.map(lambda leaf: jnp.repeat(leaf, 5, axis=0), tasks)

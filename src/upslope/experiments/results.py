@@ -113,7 +113,7 @@ def write_results(result: FigureResult, folder: Path) -> None:
             arrays[f"{panel_name}/{arm_name}"] = arm.returns
         for variant, arms in panel.variants.items():
             arrays |= {f"{panel_name}@{variant}/{name}": arm.returns for name, arm in arms.items()}
-    np.savez_compressed(folder / "returns.npz", **arrays)
+    np.savez_compressed(folder / "returns.npz", allow_pickle=False, **arrays)
     text = json.dumps(result.as_json(), indent=1, default=_plain)
     (folder / "results.json").write_text(text + "\n", encoding="utf-8")
 

@@ -128,9 +128,7 @@ def _shaping(arm: ShapingArm, seeds: int, tasks: int) -> Shaping:
     return Shaping(potential, jnp.full(shape, arm.terminal_discount))
 
 
-def _agent(
-    family: AbstractFamily, tasks: Task, shaping: Shaping, config: DQNConfig | DDPGConfig
-) -> DQN | DDPG:
+def _agent(family: AbstractFamily, tasks: Task, shaping: Shaping, config: DQNConfig | DDPGConfig) -> DQN | DDPG:
     if isinstance(config, DDPGConfig):
         return DDPG(family, tasks, shaping, config)
     return DQN(family, tasks, shaping, config)

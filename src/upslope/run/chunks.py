@@ -9,7 +9,7 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Float, Int
 
 from upslope.learner import AbstractLearner
-from upslope.run.compiling import COMPILER_OPTIONS
+from upslope.run.compiling import QUICK_TO_COMPILE, QUICK_TO_RUN
 from upslope.types import Key, Keys, Metrics
 
 _AXIS = "learners"
@@ -22,7 +22,12 @@ def mesh() -> Mesh:
 
 def spread(batch: Any) -> Any:
     """Lays the leading axis of a stacked PyTree ``[learners, ...]`` over the devices; they must divide it."""
-    return jax.device_put(batch, NamedSharding(mesh(), P(_AXIS)))
+    devices = mesh()
+
+    def place(leaf: Any) -> jax.Array:
+        return jax.device_put(leaf, NamedSharding(devices, P(_AXIS) if jnp.ndim(leaf) else P()))
+
+    return jax.tree.map(place, batch)
 
 
 def start(learners: AbstractLearner, keys: Keys) -> Any:
@@ -30,7 +35,9 @@ def start(learners: AbstractLearner, keys: Keys) -> Any:
     return _start(learners, keys, mesh())
 
 
-def advance(learners: AbstractLearner, states: Any, steps: int) -> tuple[Any, dict[str, Float[Array, "learners"]], dict[str, Any]]:
+def advance(
+    learners: AbstractLearner, states: Any, steps: int
+) -> tuple[Any, dict[str, Float[Array, "learners"]], dict[str, Any]]:
     """Takes ``steps`` steps with every learner, then reports.
 
     The number of steps is an input of the program: chunks of any length, none included, share one program.
@@ -60,20 +67,22 @@ def _advance_one(learner: AbstractLearner, state: Any, steps: Int[Array, ""]) ->
     return state, metrics, learner.report(state)
 
 
-def _mapped(function: Any, devices: Mesh, *specs: P) -> Any:
-    in_axes = tuple(0 if spec == P(_AXIS) else None for spec in specs)
-    return jax.shard_map(
-        jax.vmap(function, in_axes=in_axes), mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False
-    )
+def _mapped(function: Any, devices: Mesh, *inputs: Any) -> Any:
+    """The function over the learners' axis of every input; 0-d leaves are shared by all learners."""
+    axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, inputs)
+    specs = jax.tree.map(lambda leaf: P(_AXIS) if jnp.ndim(leaf) else P(), inputs)
+    over_learners = jax.vmap(function, in_axes=axes)
+    return jax.shard_map(over_learners, mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False)(*inputs)
 
 
 def _start_all(learners: AbstractLearner, keys: Keys, devices: Mesh) -> Any:
-    return _mapped(_start_one, devices, P(_AXIS), P(_AXIS))(learners, keys)
+    return _mapped(_start_one, devices, learners, keys)
 
 
 def _advance_all(learners: AbstractLearner, states: Any, steps: Int[Array, ""], devices: Mesh) -> Any:
-    return _mapped(_advance_one, devices, P(_AXIS), P(_AXIS), P())(learners, states, steps)
+    return _mapped(_advance_one, devices, learners, states, steps)
 
 
-_start = jax.jit(_start_all, static_argnames="devices", compiler_options=COMPILER_OPTIONS)
-_advance = jax.jit(_advance_all, static_argnames="devices", donate_argnames="states", compiler_options=COMPILER_OPTIONS)
+# What runs once is compiled as fast as can be; what runs for long, well.
+_start = jax.jit(_start_all, static_argnames="devices", compiler_options=QUICK_TO_COMPILE)
+_advance = jax.jit(_advance_all, static_argnames="devices", donate_argnames="states", compiler_options=QUICK_TO_RUN)

@@ -51,7 +51,7 @@ def run(
     """Runs a batch of learners side by side, reporting before the first step and after every ``every`` steps.
 
     Args:
-        learners: one learner whose array leaves all carry the batch axes ``[*batch, ...]``.
+        learners: one learner whose array leaves carry the batch axes ``[*batch, ...]``; 0-d leaves are shared by all.
         keys: one key for each learner ``[*batch]``.
         updates: steps of each learner.
         every: steps between reports.
@@ -67,8 +67,7 @@ def run(
     began = time.perf_counter()
     batch = keys.shape
     count = int(np.prod(batch, dtype=int))
-    flat = jax.tree.map(lambda leaf: _flatten(leaf, batch, count), (learners, keys))
-    learners, keys = chunks.spread(flat)
+    learners, keys = chunks.spread(jax.tree.map(lambda leaf: _flatten(leaf, batch, count), (learners, keys)))
     marks = [0, *range(every, updates, every), updates]
     reports, metrics = [], []
     with compile_clock() as clock:
@@ -105,11 +104,13 @@ def run(
 
 def broadcast(learner: AbstractLearner, batch: tuple[int, ...]) -> AbstractLearner:
     """One learner as a batch of equal ones ``[*batch, ...]``."""
-    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*batch, *jnp.shape(leaf))), learner)
+    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (*batch, *np.shape(leaf))), learner)
 
 
 def _flatten(leaf: Any, batch: tuple[int, ...], count: int) -> Any:
     """The batch axes as one, padded by repetition of the last learner until the devices divide it."""
+    if not np.ndim(leaf):
+        return leaf
     leaf = leaf.reshape(count, *leaf.shape[len(batch) :])
     missing = -count % len(jax.local_devices())
     return jnp.concatenate([leaf, *[leaf[-1:]] * missing]) if missing else leaf

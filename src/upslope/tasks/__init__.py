@@ -3,6 +3,8 @@
 from upslope.tasks.cartpoles import cartpoles
 from upslope.tasks.family import AbstractFamily
 from upslope.tasks.jax_tasks import JaxTasks
-from upslope.tasks.single import SingleTask
 
-__all__ = ["AbstractFamily", "JaxTasks", "SingleTask", "cartpoles"]
+#: The families that the command line knows by name.
+FAMILIES = {"cartpole": cartpoles}
+
+__all__ = ["FAMILIES", "AbstractFamily", "JaxTasks", "cartpoles"]

@@ -1,9 +1,11 @@
 """The family of CartPoles with varied pole length (Sec. 5.1)."""
 
 import math
-from dataclasses import dataclass
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from upslope.envs.cartpole import CartPole, CartPoleParams
 from upslope.errors import UpslopeError
@@ -11,27 +13,27 @@ from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Key
 
 
-@dataclass(frozen=True)
-class PoleLengths:
+class PoleLengths(eqx.Module):
     """Draws CartPoles with a pole length from U[low, high], as full lengths in metres."""
 
-    low: float
-    high: float
-    angle_limit: float
-    track_limit: float
-    max_steps: int
+    low: float = eqx.field(static=True)
+    high: float = eqx.field(static=True)
+    angle_limit: float = eqx.field(static=True)
+    track_limit: float = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
 
     def __call__(self, key: Key) -> CartPoleParams:
-        length = jax.random.uniform(key, minval=self.low, maxval=self.high)
-        return cartpole_task(
-            length, angle_limit=self.angle_limit, track_limit=self.track_limit, max_steps=self.max_steps
+        return self.with_length(jax.random.uniform(key, minval=self.low, maxval=self.high))
+
+    def with_length(self, length: Float[Array, ""] | float) -> CartPoleParams:
+        """The task of the family whose pole has this full length in metres."""
+        task = CartPoleParams(
+            length,
+            angle_limit=self.angle_limit,
+            track_limit=self.track_limit,
+            max_steps_in_episode=self.max_steps,
         )
-
-
-def cartpole_task(length, *, angle_limit: float, track_limit: float, max_steps: int) -> CartPoleParams:
-    """One task of the family: a CartPole whose pole has this full length in metres."""
-    task = CartPoleParams(length, angle_limit=angle_limit, track_limit=track_limit, max_steps_in_episode=max_steps)
-    return jax.tree.map(lambda leaf: jax.numpy.asarray(leaf, "float32"), task)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), task)
 
 
 def cartpoles(

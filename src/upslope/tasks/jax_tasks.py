@@ -1,6 +1,7 @@
 """Families whose environments are written in JAX: collection compiles into the learner's own program."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -19,18 +20,32 @@ class RunningEnvironments(eqx.Module):
     state: Any
 
 
+class Always(eqx.Module):
+    """A sampler that always draws the same task: `JaxTasks.only` is a family of one."""
+
+    task: Task
+
+    def __call__(self, key: Key) -> Task:
+        del key
+        return self.task
+
+
+def _as_pytree(sampler: Callable[[Key], Task]) -> Callable[[Key], Task]:
+    return sampler if isinstance(sampler, eqx.Module) else jax.tree_util.Partial(sampler)
+
+
 class JaxTasks(AbstractFamily):
     """A family over any environment with gymnax's signature (≥ 1.0); a task is the environment's parameters.
 
     Attributes:
         env: ``reset(key, params)`` and the six-value ``step(key, state, action, params)`` with
             ``info["final_observation"]``. Compared by value, so that equal families share compiled programs.
-        sample_params: draws one task; compared by value too.
+        sample_params: draws one task. A plain function, or a module with array leaves.
     """
 
     name: str = eqx.field(static=True)
     env: Any = eqx.field(static=True)
-    sample_params: Callable[[Key], Task] = eqx.field(static=True)
+    sample_params: Callable[[Key], Task] = eqx.field(converter=_as_pytree)
     gamma: float = eqx.field(static=True)
     observation_shape: tuple[int, ...] = eqx.field(static=True)
     observation_scale: tuple[float, ...] = eqx.field(static=True)
@@ -40,6 +55,10 @@ class JaxTasks(AbstractFamily):
 
     def sample(self, key: Key) -> Task:
         return self.sample_params(key)
+
+    def only(self, task: Task) -> "JaxTasks":
+        """The family of this one task, all else alike. Stacked tasks make a stack of families, in one program."""
+        return replace(self, sample_params=Always(task))
 
     def reset(self, key: Key, tasks: Task) -> RunningEnvironments:
         return RunningEnvironments(*jax.vmap(self.env.reset)(jax.random.split(key, _count(tasks)), tasks))

@@ -1,0 +1,40 @@
+"""The command line: upslope reproduce, meta-train, train, adapt."""
+
+import sys
+from typing import Annotated
+
+import tyro
+
+from upslope.commands import Adapt, MetaTrain, Reproduce, Train
+from upslope.errors import UpslopeError
+from upslope.run.compiling import set_up_devices
+
+Command = (
+    Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
+    | Annotated[MetaTrain, tyro.conf.subcommand("meta-train")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Adapt, tyro.conf.subcommand("adapt")]
+)
+
+
+def main() -> None:
+    """Parses the command line and runs what it asks for; bad input ends in one sentence and exit code 2."""
+    command = tyro.cli(
+        Command,
+        prog="upslope",
+        description="Meta-learned potentials that shape the reward of every new task of a family.",
+        config=(tyro.conf.OmitArgPrefixes,),
+    )
+    set_up_devices()
+    try:
+        command()
+    except UpslopeError as error:
+        print(f"upslope: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("upslope: stopped.", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

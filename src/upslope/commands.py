@@ -1,0 +1,227 @@
+"""What each command of the command line does: typed settings with a verb."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from tyro.conf import Positional, arg
+
+from upslope.agents.adaptation import AdvantageHead, UpdateRule
+from upslope.agents.adaptation_controls import CentredTD, FrozenPotential
+from upslope.agents.fine_tuning import FineTuning
+from upslope.api import adapt, meta_train, train
+from upslope.errors import UpslopeError
+from upslope.experiments.catalogue import reproduce
+from upslope.meta_training import MetaTrainingConfig
+from upslope.prior import Prior
+from upslope.run.folder import claim
+from upslope.run.observers import EventLog, Observer, ProgressBar
+from upslope.tasks import FAMILIES, JaxTasks
+from upslope.types import Task
+
+AGENTS = {"dqn": False, "ddpg": True}
+RULES: dict[str, UpdateRule] = {
+    "algorithm2": AdvantageHead(),
+    "algorithm2-raw": AdvantageHead(centred=False),
+    "frozen-potential": FrozenPotential(),
+    "td-centred": CentredTD(),
+    "maml": FineTuning(),
+    "maml-two-steps": FineTuning(steps=2),
+}
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Reproduce a figure of the paper: the main job."""
+
+    figure: Positional[str]
+    """Which figure: fig1."""
+    out: Path | None = None
+    """Folder for the results; it must be empty. A new one under runs/ by default."""
+    quick: bool = False
+    """About a minute: enough to see that all works, too small to say anything about the paper."""
+    seeds: int | None = None
+    """How many seeds; 5 by default."""
+    tasks: int | None = None
+    """How many unseen tasks; 40 by default."""
+    first_seed: int = 0
+    """Moves to other seeds and other test tasks."""
+    panels: tuple[Literal["left", "middle", "right"], ...] = ("left", "middle", "right")
+    """Which panels."""
+
+    def __call__(self) -> None:
+        reproduce(
+            self.figure,
+            out=self.out,
+            is_quick=self.quick,
+            seeds=self.seeds,
+            tasks=self.tasks,
+            first_seed=self.first_seed,
+            panels=self.panels,
+        )
+
+
+@dataclass(frozen=True)
+class Poles:
+    """The family of CartPoles."""
+
+    length: tuple[float, float] = (0.25, 5.0)
+    """Shortest and longest pole, in metres."""
+    half_length: bool = False
+    """The lengths are of half the pole, as Gymnasium counts, not of the whole."""
+    gamma: float = 0.98
+    """The discount of the tasks and of the potential."""
+    track_limit: float = 2.4
+    """Where the track ends, in metres from its middle."""
+
+    def family(self, name: str, *, continuous: bool = False) -> JaxTasks:
+        if name not in FAMILIES:
+            raise UpslopeError(f"There is no family {name!r}: choose one of {', '.join(FAMILIES)}.")
+        return FAMILIES[name](
+            self.length,
+            continuous=continuous,
+            half_length=self.half_length,
+            gamma=self.gamma,
+            track_limit=self.track_limit,
+        )
+
+
+@dataclass(frozen=True)
+class MetaTrain:
+    """Algorithm 1: learn a prior over a family of tasks, and save it."""
+
+    family: Positional[str]
+    """Which family: cartpole."""
+    out: Path | None = None
+    """Folder for the prior and its logs; it must be empty."""
+    seed: int = 0
+    """Of everything random."""
+    poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
+    config: Annotated[MetaTrainingConfig, arg(name="")] = field(default_factory=MetaTrainingConfig)
+
+    def __call__(self) -> None:
+        family = self.poles.family(self.family)
+        folder = claim(self.out, "prior")
+        prior = meta_train(family, seed=self.seed, config=self.config, observers=_observers(folder))
+        path = folder / "prior.safetensors"
+        prior.save(path)
+        settings = prior.trained_on.settings
+        table = Table("prior", "from iteration", "return on extra training tasks", title="Algorithm 1")
+        table.add_row(str(path), str(settings["iteration"]), f"{settings['return_on_training_tasks']:.1f}")
+        Console().print(table)
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train an agent on one new task, with or without shaping."""
+
+    agent: Positional[str]
+    """dqn (discrete actions) or ddpg (continuous actions)."""
+    prior: Path | None = None
+    """The prior whose V head shapes the rewards; no shaping without one."""
+    family: str = "cartpole"
+    """Which family the task comes from."""
+    pole: float | None = None
+    """Length of the pole in metres; drawn from the family by default."""
+    updates: int = 1000
+    """Gradient updates."""
+    every: int = 100
+    """Updates between evaluations."""
+    seed: int = 0
+    """Of everything random."""
+    out: Path | None = None
+    """Folder for the logs; it must be empty."""
+    poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
+
+    def __call__(self) -> None:
+        if self.agent not in AGENTS:
+            raise UpslopeError(f"There is no agent {self.agent!r}: choose one of {', '.join(AGENTS)}.")
+        family = self.poles.family(self.family, continuous=AGENTS[self.agent])
+        prior = None if self.prior is None else Prior.load(self.prior)
+        task = _task(family, self.pole, self.seed)
+        folder = claim(self.out, self.agent)
+        outcome = train(
+            family,
+            task,
+            prior,
+            updates=self.updates,
+            every=self.every,
+            seed=self.seed,
+            observers=_observers(folder),
+        )
+        shaped = "no shaping" if prior is None else f"shaped by {self.prior}"
+        _print_returns(
+            f"{self.agent} on a pole of {float(task.length):.2f} m, {shaped}",
+            outcome.updates,
+            outcome.reports["return"][0],
+        )
+
+
+@dataclass(frozen=True)
+class Adapt:
+    """Algorithm 2: adapt a prior to one new task while solving it; or MAML and the controls."""
+
+    prior: Positional[Path]
+    """The prior to start from."""
+    family: str = "cartpole"
+    """Which family the task comes from."""
+    pole: float | None = None
+    """Length of the pole in metres; drawn from the family by default."""
+    rule: str = "algorithm2"
+    """algorithm2, algorithm2-raw, frozen-potential, td-centred, maml or maml-two-steps."""
+    updates: int = 20
+    """Updates: pairs of Eqs. 8 and 9."""
+    step_size: float = 1e-3
+    """Alpha."""
+    seed: int = 0
+    """Of everything random."""
+    out: Path | None = None
+    """Folder for the posterior and the logs; it must be empty."""
+    poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
+
+    def __call__(self) -> None:
+        if self.rule not in RULES:
+            raise UpslopeError(f"There is no rule {self.rule!r}: choose one of {', '.join(RULES)}.")
+        prior = Prior.load(self.prior)
+        family = self.poles.family(self.family)
+        prior.check(family, acting=True)
+        task = _task(family, self.pole, self.seed)
+        folder = claim(self.out, "adapted")
+        posterior, returns = adapt(
+            prior,
+            family,
+            task,
+            updates=self.updates,
+            step_size=self.step_size,
+            rule=RULES[self.rule],
+            seed=self.seed,
+            observers=_observers(folder),
+        )
+        posterior.save(folder / "posterior.safetensors")
+        title = f"{self.rule} on a pole of {float(task.length):.2f} m, saved as {folder / 'posterior.safetensors'}"
+        _print_returns(title, np.arange(len(returns)), returns)
+
+
+def _observers(folder: Path) -> list[Observer]:
+    return [ProgressBar(), EventLog(folder / "logs")]
+
+
+def _task(family: JaxTasks, pole: float | None, seed: int) -> Task:
+    """A CartPole with this pole, or one drawn by the seed."""
+    task = family.sample(jax.random.fold_in(jax.random.key(seed), 1))
+    if pole is None:
+        return task
+    if not (np.isfinite(pole) and pole > 0):
+        raise UpslopeError(f"A pole of {pole} m can't be balanced: give a positive length.")
+    return replace(task, length=jax.numpy.asarray(pole, jax.numpy.float32))
+
+
+def _print_returns(title: str, updates: np.ndarray, returns: np.ndarray) -> None:
+    table = Table("updates", "raw greedy return", title=title, title_justify="left")
+    for update, value in zip(updates, returns, strict=True):
+        table.add_row(str(update), f"{value:.1f}")
+    Console().print(table)
