@@ -9,7 +9,7 @@ from support import probes
 from support.batches import small_network
 from support.probes import GAMMA, PLACES, discrete_family, observe, table_potential
 from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHead
-from upslope.agents.adaptation_controls import CentredTD, FrozenPotential
+from upslope.agents.adaptation_controls import CentredTD, FrozenPotential, OneOf
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.agents.fine_tuning import FineTuning
@@ -134,7 +134,7 @@ class TestDDPG:
 
 class TestMetaTraining:
     config = MetaTrainingConfig(
-        iterations=300, tasks=3, steps_per_task=24, batch_size=16, hidden=(16,), inner_step_size=0.05,
+        iterations=300, averaging=0.9, tasks=3, steps_per_task=24, batch_size=16, hidden=(16,), inner_step_size=0.05,
         outer_step_size=0.02, epsilon=(0.5, 1.0), evaluation_tasks=4, evaluation_episodes=2,
     )  # fmt: skip
 
@@ -163,33 +163,57 @@ PRIOR_VALUE, PRIOR_LEVEL = (
 Q = np.array(probes.DISCRETE["choices"][1])
 
 
+RULES = {"Algorithm 2": AdvantageHead(), "frozen": FrozenPotential(), "centred TD": CentredTD(), "MAML": FineTuning()}
+
+
 class TestAdaptation:
-    """Each update rule reaches the fixed point that its equations have."""
+    """Each update rule reaches the fixed point that its equations have; one program runs them all."""
 
-    @pytest.fixture(
-        scope="class", params=[AdvantageHead(), FrozenPotential(), CentredTD(), FineTuning()], ids=lambda r: str(r)
-    )
+    @pytest.fixture(scope="class")
     @staticmethod
-    def adapted(request):
+    def outcome():
         config = AdaptationConfig(batch_size=32, replay_capacity=2000, steps_per_update=4, epsilon=0.5)
-        learner = Adaptation(discrete_family(), probes.choices(), PRIOR, jnp.asarray(0.1), request.param, config)
-        outcome = run(broadcast(learner, (1,)), jax.random.key(1)[None], updates=500, every=500)
-        value, advantage = (
-            at_every_place(outcome.states.phi, lambda phi, obs, head=head: phi.heads(obs)[head])[0] for head in (0, 1)
-        )
-        return request.param, value[:, None], advantage, outcome
+        learners = [
+            Adaptation(
+                discrete_family(), probes.choices(), PRIOR, jnp.asarray(0.1),
+                OneOf(tuple(RULES.values()), jnp.asarray(index)), config,
+            )
+            for index in range(len(RULES))
+        ]  # fmt: skip
+        return train(learners, 500)
 
-    def test_fixed_point(self, adapted):
-        rule, value, advantage, _ = adapted
-        if isinstance(rule, AdvantageHead):
-            np.testing.assert_allclose(value, Q.max(-1, keepdims=True), atol=0.05)  # Eq. 9: V = V*
-            np.testing.assert_allclose(advantage - PRIOR_LEVEL, Q - Q.max(-1, keepdims=True), atol=0.05)  # Eq. 8
-        elif isinstance(rule, FrozenPotential):
-            np.testing.assert_allclose(advantage - PRIOR_LEVEL, Q - PRIOR_VALUE, atol=0.05)  # Eq. 1 with Φ = V_θ
-        elif isinstance(rule, CentredTD):
-            np.testing.assert_allclose(value + advantage - PRIOR_LEVEL, Q, atol=0.05)
-        else:
-            np.testing.assert_allclose(value + advantage - advantage.max(-1, keepdims=True), Q, atol=0.05)
+    @pytest.fixture
+    @staticmethod
+    def heads(outcome, request):
+        """V ``[places, 1]`` and A ``[places, actions]`` of the rule that the test's class attribute names."""
+        index = list(RULES).index(request.param)
+        phi = jax.tree.map(lambda leaf: leaf[index : index + 1], outcome.states.phi)
+        value, advantage = (at_every_place(phi, lambda net, obs, i=i: net.heads(obs)[i])[0] for i in (0, 1))
+        return value[:, None], advantage
 
-    def test_it_acts_optimally(self, adapted):
-        assert adapted[-1].reports["return"][0, -1] == 1.0
+    @pytest.mark.parametrize("heads", ["Algorithm 2"], indirect=True)
+    def test_equations_8_and_9_reach_the_advantage_and_the_optimal_value(self, heads):
+        value, advantage = heads
+        best = Q.max(-1, keepdims=True)
+        np.testing.assert_allclose(value, best, atol=0.05)
+        np.testing.assert_allclose(advantage - PRIOR_LEVEL, Q - best, atol=0.05)
+
+    @pytest.mark.parametrize("heads", ["frozen"], indirect=True)
+    def test_with_the_potential_frozen_a_learns_q_of_the_shaped_task(self, heads):
+        np.testing.assert_allclose(heads[1] - PRIOR_LEVEL, Q - PRIOR_VALUE, atol=0.05)  # Eq. 1 with Φ = V_θ
+
+    @pytest.mark.parametrize("heads", ["centred TD"], indirect=True)
+    def test_centred_td_learns_q(self, heads):
+        value, advantage = heads
+        np.testing.assert_allclose(value + advantage - PRIOR_LEVEL, Q, atol=0.05)
+
+    @pytest.mark.parametrize("heads", ["MAML"], indirect=True)
+    def test_fine_tuning_learns_q_by_equation_6(self, heads):
+        value, advantage = heads
+        np.testing.assert_allclose(value + advantage - advantage.max(-1, keepdims=True), Q, atol=0.05)
+
+    def test_all_act_optimally_in_the_end(self, outcome):
+        np.testing.assert_array_equal(outcome.reports["return"][:, -1], 1.0)
+
+    def test_all_start_from_the_prior(self, outcome):
+        assert len(set(outcome.reports["return"][:, 0].tolist())) == 1

@@ -1,6 +1,7 @@
 """Algorithm 1's outer gradient, kept and stopped, by hand; averaging; the report; settings that are refused."""
 
 import dataclasses
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from support.differences import assert_gradient
 from support.probes import discrete_family
 from upslope.errors import UpslopeError
 from upslope.maml import adapt
-from upslope.meta_training import MetaTraining, MetaTrainingConfig, TaskSamples
+from upslope.meta_training import MetaTraining, MetaTrainingConfig, TaskSamples, best_snapshot
 
 TASKS, BATCH, ALPHA = 2, 3, 0.1
 TINY = MetaTrainingConfig(
@@ -37,6 +38,10 @@ def of_task(data, index):
     return jax.tree.map(lambda leaf: leaf[index], data)
 
 
+def outer_gradient(meta, theta, data):
+    return jax.jit(lambda net: jax.grad(meta.outer_loss)(net, data))(theta)
+
+
 @pytest.fixture
 def float64():
     with jax.enable_x64(True):
@@ -50,18 +55,18 @@ class TestKeptGraph:
     @pytest.mark.parametrize("inner_steps", [1, 2])
     def test_with_constant_td_targets_it_is_the_exact_gradient(self, inner_steps):
         meta, theta, data = learner(outer_target="kept", inner_steps=inner_steps), small_network(0), samples()
-        objective = jax.jit(meta.outer_loss)
-        assert_gradient(lambda net: objective(net, data), theta, jax.grad(meta.outer_loss)(theta, data), rtol=1e-5)
+        objective = jax.jit(lambda net: meta.outer_loss(net, data))
+        assert_gradient(objective, theta, outer_gradient(meta, theta, data), rtol=1e-5)
 
     def test_with_full_td_gradients_it_is_the_exact_gradient(self):
         meta = learner(outer_target="kept", td_gradient="full", target_decay=None)
         theta, data = small_network(0), samples(fixed_targets=False)
-        objective = jax.jit(meta.outer_loss)
-        assert_gradient(lambda net: objective(net, data), theta, jax.grad(meta.outer_loss)(theta, data), rtol=1e-5)
+        objective = jax.jit(lambda net: meta.outer_loss(net, data))
+        assert_gradient(objective, theta, outer_gradient(meta, theta, data), rtol=1e-5)
 
     def test_first_order_takes_the_posterior_s_jacobian_for_the_identity(self):
         meta, theta, data = learner(outer_target="kept", first_order=True), small_network(0), samples()
-        ours = jax.grad(meta.outer_loss)(theta, data)
+        ours = outer_gradient(meta, theta, data)
         expected = mean_of_pull(meta, theta, data, through_posterior=True)
         assert_trees_close(ours, expected, rtol=1e-9, atol=1e-12)
 
@@ -73,12 +78,12 @@ class TestStoppedTarget:
     @pytest.mark.parametrize("first_order", [False, True])
     def test_it_is_the_regression_s_gradient(self, first_order):
         meta, theta, data = learner(first_order=first_order), small_network(0), samples()
-        ours = jax.grad(meta.outer_loss)(theta, data)
+        ours = outer_gradient(meta, theta, data)
         assert_trees_close(ours, mean_of_pull(meta, theta, data), rtol=1e-9, atol=1e-12)
 
     def test_it_differs_from_the_kept_one(self):
         theta, data = small_network(0), samples()
-        stopped, kept = (jax.grad(learner(outer_target=how).outer_loss)(theta, data) for how in ("stopped", "kept"))
+        stopped, kept = (outer_gradient(learner(outer_target=how), theta, data) for how in ("stopped", "kept"))
         assert float(jnp.abs(stopped.value_head.bias - kept.value_head.bias).max()) > 1e-4
 
 
@@ -131,39 +136,61 @@ class TestTDLoss:
             assert bool(jnp.abs(semi - full).max() > 1e-3) is differ
 
 
-def iterate(meta):
-    """Four iterations; the states after each."""
+@pytest.fixture(scope="module")
+def states():
+    """Before the first iteration, and after each of three."""
+    meta = learner(averaging=0.75)
     step, states = jax.jit(meta.step), [meta.init(jax.random.key(0))]
-    for _ in range(TINY.iterations):
+    for _ in range(3):
         states.append(step(states[-1])[0])
     return states
 
 
-@pytest.fixture(scope="module")
-def averaged_from_half():
-    return iterate(learner(averaging_start=0.5))
+def blend(share, new, old):
+    return jax.tree.map(lambda a, b: share * a + (1 - share) * b, new, old)
 
 
 class TestAveraging:
-    def test_before_its_start_the_average_is_theta(self, averaged_from_half):
-        for state in averaged_from_half[:3]:
-            assert_trees_close(state.average, state.theta, rtol=1e-6)
+    def test_the_average_follows_theta_by_its_decay(self, states):
+        for before, after in itertools.pairwise(states):
+            assert_trees_close(after.average, blend(0.25, after.theta, before.average))
+            assert float(jnp.abs(after.theta.value_head.bias - before.theta.value_head.bias).max()) > 1e-4
 
-    def test_from_its_start_it_is_the_mean_of_theta(self, averaged_from_half):
-        # Half of four iterations: the third and the fourth are averaged.
-        third, fourth = averaged_from_half[3], averaged_from_half[4]
-        assert_trees_close(third.average, third.theta, rtol=1e-6)
-        mean = jax.tree.map(lambda a, b: (a + b) / 2, third.theta, fourth.theta)
-        assert_trees_close(fourth.average, mean, rtol=1e-5)
-        assert float(jnp.abs(third.theta.value_head.bias - fourth.theta.value_head.bias).max()) > 1e-4
+    def test_the_target_follows_theta_by_its_own(self, states):
+        for before, after in itertools.pairwise(states):
+            assert_trees_close(after.target, blend(0.1, after.theta, before.target))
 
-    def test_iterations_are_counted(self, averaged_from_half):
-        assert [int(state.iteration) for state in averaged_from_half] == [0, 1, 2, 3, 4]
+    def test_both_start_as_theta(self, states):
+        assert_trees_identical(states[0].average, states[0].theta)
+        assert_trees_identical(states[0].target, states[0].theta)
 
-    def test_the_target_follows_theta_by_its_decay(self, averaged_from_half):
-        before, after = averaged_from_half[1:3]
-        expected = jax.tree.map(lambda old, new: 0.9 * old + 0.1 * new, before.target, after.theta)
-        assert_trees_close(after.target, expected)
+    def test_without_averaging_the_prior_is_theta_as_printed(self):
+        theta, old = small_network(0), small_network(1)
+        assert_trees_close(learner(averaging=0.0)._average(theta, old), theta, rtol=1e-6)
+
+
+class TestSnapshots:
+    @pytest.mark.parametrize(
+        ("returns", "share", "expected"),
+        [
+            ([90, 10, 20, 30, 25], 0.5, 3),  # from the middle on; the 90 is too early
+            ([90, 10, 20, 30, 25], 0.0, 0),
+            ([90, 10, 20, 30, 25], 1.0, 4),  # the last, as printed
+            ([10, 50, 20, 50, 30], 0.0, 3),  # of equals the last
+            ([90, 10, 20, 30, 25], 0.6, 3),  # 0.6·4 = 2.4 lies after the third
+            ([5], 0.5, 0),
+        ],
+    )
+    def test_the_best_of_the_last_share(self, returns, share, expected):
+        assert best_snapshot(np.array(returns, float), MetaTrainingConfig(select_from=share)) == expected
+
+    def test_snapshots_are_tried_on_the_same_tasks(self, states):
+        # The same network must earn the same, whatever was drawn in between.
+        meta = learner()
+        later = dataclasses.replace(states[0], key=jax.random.key(99))
+        report = jax.jit(meta.report)
+        assert float(report(states[0])["return"]) == float(report(later)["return"])
+        assert all(np.array_equal(*map(jax.random.key_data, (s.trial_key, states[0].trial_key))) for s in states)
 
 
 class TestReport:
@@ -185,16 +212,10 @@ class TestReport:
 
 class TestSettings:
     @pytest.mark.parametrize(
-        "name", ["iterations", "tasks", "steps_per_task", "batch_size", "inner_steps", "outer_updates"]
+        "name",
+        ["iterations", "tasks", "steps_per_task", "batch_size", "inner_steps", "outer_updates", "snapshot_every"],
     )
     @pytest.mark.parametrize("value", [0, -3])
     def test_counts_are_at_least_one(self, name, value):
         with pytest.raises(UpslopeError, match=f"{name} is {value}"):
             MetaTrainingConfig(**{name: value})
-
-    def test_averaging_from_the_start_to_the_end_takes_the_last_theta(self):
-        # averaging_start = 1, as printed: nothing to average over.
-        meta = learner(averaging_start=1.0)
-        theta, old = small_network(0), small_network(1)
-        state = dataclasses.replace(meta.init(jax.random.key(0)), average=old, iteration=jnp.asarray(3))
-        assert_trees_close(meta._average(theta, state), theta, rtol=1e-6)

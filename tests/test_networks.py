@@ -31,12 +31,13 @@ def test_heads_are_value_and_raw_advantage(many_obs):
     assert np.abs(advantage.max(axis=-1)).min() > 1e-4, "the raw advantage is not centred"
 
 
-def test_mlp_by_hand():
-    mlp = MLP(jax.random.key(0), 2, (1,), (10.0, 1.0))
-    layer = mlp.layers[0]
-    x = np.array([0.3, -0.7], np.float32)
-    by_hand = max(0.0, float(layer.weight[0] @ (x * [10.0, 1.0]) + layer.bias[0]))
-    assert float(mlp(jnp.asarray(x))[0]) == pytest.approx(by_hand, abs=1e-6)
+@pytest.mark.parametrize(("name", "function"), [("relu", lambda x: np.maximum(x, 0)), ("tanh", np.tanh)])
+def test_mlp_by_hand(name, function):
+    mlp = MLP(jax.random.key(0), 2, (5,), (10.0, 1.0), name)
+    layer, x = mlp.layers[0], np.array([0.05, 0.1], np.float32)
+    before = np.asarray(layer.weight) @ (x * [10.0, 1.0]) + np.asarray(layer.bias)
+    assert before.min() < 0 < before.max(), "both halves of the activation are looked at"
+    np.testing.assert_allclose(mlp(jnp.asarray(x)), function(before), atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", [DuelingQ, QNetwork, Actor])

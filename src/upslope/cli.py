@@ -19,14 +19,14 @@ Command = (
 
 def main() -> None:
     """Parses the command line and runs what it asks for; bad input ends in one sentence and exit code 2."""
-    command = tyro.cli(
-        Command,
-        prog="upslope",
-        description="Meta-learned potentials that shape the reward of every new task of a family.",
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
     set_up_devices()
     try:
+        command = tyro.cli(
+            Command,
+            prog="upslope",
+            description="Meta-learned potentials that shape the reward of every new task of a family.",
+            config=(tyro.conf.OmitArgPrefixes,),
+        )
         command()
     except UpslopeError as error:
         print(f"upslope: {error}", file=sys.stderr)

@@ -16,7 +16,7 @@ from upslope.agents.fine_tuning import FineTuning
 from upslope.api import adapt, meta_train, train
 from upslope.errors import UpslopeError
 from upslope.experiments.catalogue import reproduce
-from upslope.meta_training import MetaTrainingConfig
+from upslope.meta_training import MetaTrainingConfig, as_printed
 from upslope.prior import Prior
 from upslope.run.folder import claim
 from upslope.run.observers import EventLog, Observer, ProgressBar
@@ -100,13 +100,17 @@ class MetaTrain:
     """Folder for the prior and its logs; it must be empty."""
     seed: int = 0
     """Of everything random."""
+    printed: bool = False
+    """Algorithm 1 to the letter, which collapses; all settings below are ignored then."""
     poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
     config: Annotated[MetaTrainingConfig, arg(name="")] = field(default_factory=MetaTrainingConfig)
 
     def __call__(self) -> None:
         family = self.poles.family(self.family)
         folder = claim(self.out, "prior")
-        prior = meta_train(family, seed=self.seed, config=self.config, observers=_observers(folder))
+        prior = meta_train(
+            family, seed=self.seed, config=as_printed() if self.printed else self.config, observers=_observers(folder)
+        )
         path = folder / "prior.safetensors"
         prior.save(path)
         settings = prior.trained_on.settings

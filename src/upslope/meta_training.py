@@ -89,6 +89,25 @@ class MetaTrainingConfig:
                 raise UpslopeError(f"{name} is {getattr(self, name)}, but it counts something: give at least 1.")
 
 
+def as_printed() -> MetaTrainingConfig:
+    """Algorithm 1 to the letter: N = 1, one plain gradient step per iteration on the inner step's own samples, the graph
+    kept on both sides of Eq. 7, no target network, one ε, the last θ. It collapses: see docs/deviations.md.
+    """
+    return MetaTrainingConfig(
+        activation="relu",
+        outer_step_size=0.1,
+        outer_step_size_end=0.1,
+        outer_optimiser="sgd",
+        outer_updates=1,
+        outer_target="kept",
+        td_gradient="full",
+        target_decay=None,
+        epsilon=(0.1, 0.1),
+        averaging=0.0,
+        select_from=1.0,
+    )
+
+
 class MetaTrainingState(eqx.Module):
     """All that changes while meta-training.
 

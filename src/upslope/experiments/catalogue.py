@@ -49,8 +49,10 @@ def reproduce(
         raise UpslopeError(f"There is no figure {figure!r}: choose one of {', '.join(FIGURES)}.")
     config = Figure1Config(first_seed=first_seed)
     config = quick(config) if is_quick else config
-    chosen = {"seeds": seeds, "tasks": tasks}
-    config = replace(config, **{name: value for name, value in chosen.items() if value is not None})
+    if seeds is not None:
+        config = replace(config, seeds=seeds)
+    if tasks is not None:
+        config = replace(config, tasks=tasks)
     folder = claim(out, figure)
     console = console or Console()
     result = figure1(config, panels=panels, is_quick=is_quick, observers=[ProgressBar(), EventLog(folder / "logs")])

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from tensorboardX import SummaryWriter
 
 
@@ -25,18 +25,16 @@ class Observer(Protocol):
 
 
 class ProgressBar:
-    """A bar with the rate, the time left and the median return."""
+    """A bar with the rate in learner-updates per second, the time left (at the end, taken) and the median return."""
 
     def __init__(self, console: Console | None = None):
         self._progress = Progress(
-            TextColumn("{task.description:<28}"),
-            BarColumn(bar_width=28),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]:>12}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(elapsed_when_finished=False),
-            TextColumn("median return {task.fields[median]:>5.1f}"),
+            TextColumn("{task.description:<23}"),
+            BarColumn(bar_width=12),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[rate]:>9}"),
+            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+            TextColumn("return {task.fields[median]:>5.1f}"),
             console=console or Console(stderr=True),
         )
 

@@ -1,0 +1,61 @@
+"""A learner that compiles in no time, and observers that only remember: for the loop, which knows no algorithm."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from upslope.learner import AbstractLearner
+from upslope.types import Key
+
+
+class WalkState(eqx.Module):
+    key: Key
+    place: Float[Array, ""]
+    steps: Int[Array, ""]
+
+
+class Walk(AbstractLearner):
+    """A random walk with a drift; breaks (NaN) at the step numbered ``breaks_at``."""
+
+    drift: Float[Array, ""]
+    breaks_at: Int[Array, ""]
+
+    def init(self, key: Key) -> WalkState:
+        return WalkState(key, jnp.zeros(()), jnp.zeros((), jnp.int32))
+
+    def step(self, state: WalkState) -> tuple[WalkState, dict[str, Any]]:
+        key, step_key = jax.random.split(state.key)
+        place = state.place + self.drift + 0.1 * jax.random.normal(step_key)
+        metric = jnp.where(state.steps + 1 == self.breaks_at, jnp.nan, state.steps + 1.0)
+        return WalkState(key, place, state.steps + 1), {"step": metric}
+
+    def report(self, state: WalkState) -> dict[str, Any]:
+        return {"return": state.place, "pair": jnp.stack([state.place, -state.place])}
+
+
+def walks(drifts, breaks_at: int = -1) -> Walk:
+    """Walks stacked in the shape of ``drifts``."""
+    drifts = jnp.asarray(drifts, jnp.float32)
+    stacked = Walk(jnp.zeros(()), jnp.zeros((), jnp.int32))
+    return eqx.tree_at(
+        lambda walk: (walk.drift, walk.breaks_at), stacked, (drifts, jnp.full(drifts.shape, breaks_at, jnp.int32))
+    )
+
+
+class Memory:
+    """An observer that remembers what it was told."""
+
+    def __init__(self):
+        self.told = []
+
+    def begin(self, title, updates, learners):
+        self.told.append(("begin", title, updates, learners))
+
+    def record(self, update, returns, metrics):
+        self.told.append(("record", update, returns, metrics))
+
+    def end(self):
+        self.told.append(("end",))

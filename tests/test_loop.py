@@ -1,0 +1,165 @@
+"""The one loop: marks, shapes, padding, determinism, compiling once, observers, divergence."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from support.comparing import assert_trees_close, assert_trees_identical
+from support.probes import choices, discrete_family, two_steps
+from support.toys import Memory, walks
+from upslope.agents.dqn import DQN, DQNConfig
+from upslope.errors import UpslopeError
+from upslope.potentials import stack
+from upslope.run.loop import broadcast, run
+
+DRIFTS = [0.0, 1.0, 2.0]
+
+
+def keys(count, seed=0):
+    return jax.random.split(jax.random.key(seed), count)
+
+
+def at(tree, *index):
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def walk(drifts=DRIFTS, *, updates=7, every=3, seed=0, **settings):
+    learners = walks(drifts)
+    batch = learners.drift.shape
+    return run(learners, keys(int(np.prod(batch)), seed).reshape(batch), updates=updates, every=every, **settings)
+
+
+def test_there_are_two_devices_to_spread_over():
+    assert len(jax.local_devices()) >= 2
+
+
+class TestMarksAndShapes:
+    @pytest.mark.parametrize(
+        ("updates", "every", "marks"),
+        [(7, 3, [0, 3, 6, 7]), (6, 3, [0, 3, 6]), (2, 5, [0, 2]), (1, 1, [0, 1]), (3, 1, [0, 1, 2, 3])],
+    )
+    def test_reports_come_before_the_first_step_after_every_few_and_after_the_last(self, updates, every, marks):
+        outcome = walk(updates=updates, every=every)
+        assert outcome.updates.tolist() == marks
+        assert outcome.states.steps.tolist() == [updates] * 3
+
+    def test_metrics_are_means_over_chunks(self):
+        # Steps 1 to 3, 4 to 6, and 7; nothing before the first.
+        np.testing.assert_allclose(walk().metrics["step"], [[0, 2, 5, 7]] * 3)
+
+    def test_reports_are_of_the_states_at_the_marks(self):
+        outcome = walk()
+        assert outcome.reports["return"].shape == (3, 4)
+        assert outcome.reports["pair"].shape == (3, 4, 2)
+        np.testing.assert_array_equal(outcome.reports["return"][:, 0], 0)
+        np.testing.assert_array_equal(outcome.reports["return"][:, -1], outcome.states.place)
+        np.testing.assert_array_equal(outcome.reports["pair"][..., 1], -outcome.reports["return"])
+
+    def test_each_learner_has_its_own_settings(self):
+        np.testing.assert_allclose(walk().states.place, [0, 7, 14], atol=2)
+
+    @pytest.mark.parametrize("shape", [(), (1,), (2, 3)])
+    def test_batches_of_any_shape(self, shape):
+        outcome = walk(np.arange(np.prod(shape, dtype=int), dtype=np.float32).reshape(shape))
+        assert outcome.states.place.shape == shape
+        assert outcome.reports["pair"].shape == (*shape, 4, 2)
+        assert outcome.metrics["step"].shape == (*shape, 4)
+
+    def test_axes_keep_their_order(self):
+        drifts = 10.0 * np.arange(6).reshape(2, 3)
+        np.testing.assert_allclose(walk(drifts).states.place, 7 * drifts, atol=2)
+
+    def test_broadcast_copies_a_learner(self):
+        copies = broadcast(walks(1.5), (2, 3))
+        np.testing.assert_array_equal(copies.drift, np.full((2, 3), 1.5))
+
+
+class TestBatching:
+    def test_padding_to_the_devices_leaves_no_trace(self):
+        odd, even = walk([0.0, 1.0, 2.0]), run(walks([0.0, 1.0, 2.0, 5.0]), keys(4), updates=7, every=3)
+        assert odd.reports["return"].shape[0] == 3
+        singles = [run(walks([drift]), keys(3)[i][None], updates=7, every=3) for i, drift in enumerate(DRIFTS)]
+        for index, single in enumerate(singles):
+            np.testing.assert_allclose(odd.reports["return"][index], single.reports["return"][0], rtol=1e-5)
+        assert even.reports["return"].shape[0] == 4
+
+    def test_agents_side_by_side_equal_agents_alone(self):
+        config = DQNConfig(hidden=(8,), batch_size=8, warmup_steps=8, replay_capacity=64)
+        agents = [DQN(discrete_family(), task, None, config) for task in (choices(), two_steps(), choices())]
+        together = run(stack(agents), keys(3), updates=4, every=2)
+        alone = run(stack(agents[1:2]), keys(3)[1:2], updates=4, every=2)
+        assert_trees_close(at(together.states.network, 1), at(alone.states.network, 0))
+        np.testing.assert_allclose(together.metrics["td_loss"][1], alone.metrics["td_loss"][0], rtol=1e-4)
+        first, _, third = together.states.network.head.bias
+        assert not np.array_equal(first, third), "equal agents with different keys must not be copies"
+
+
+class TestDeterminism:
+    def test_equal_keys_give_identical_bits(self):
+        first, second = walk(), walk()
+        assert_trees_identical(first.states, second.states)
+        assert_trees_identical(first.reports, second.reports)
+
+    def test_other_keys_give_other_outcomes(self):
+        assert not np.array_equal(walk(seed=0).states.place, walk(seed=1).states.place)
+
+    def test_reporting_more_often_changes_nothing(self):
+        assert_trees_identical(walk(every=1).states, walk(every=7).states)
+
+
+class TestCompiling:
+    def test_chunks_of_any_length_share_one_program(self):
+        first = run(walks([0.0] * 10), keys(10), updates=9, every=4)  # chunks of 0, 4, 4 and 1 steps
+        again = run(walks([1.0] * 10), keys(10, seed=1), updates=50, every=7)
+        assert first.programs > 0
+        assert again.programs == 0
+        assert again.seconds_compiling < first.seconds_compiling
+
+
+class TestObservers:
+    def test_they_are_told_of_everything_in_order(self):
+        one, other = Memory(), Memory()
+        outcome = walk(title="a walk", observers=[one, other])
+        assert one.told[0] == ("begin", "a walk", 7, 3)
+        assert [told[:2] for told in one.told[1:-1]] == [("record", mark) for mark in (0, 3, 6, 7)]
+        assert one.told[-1] == ("end",)
+        for index, (_, _, returns, metrics) in enumerate(one.told[1:-1]):
+            np.testing.assert_array_equal(returns, outcome.reports["return"][:, index])
+            np.testing.assert_array_equal(metrics["step"], outcome.metrics["step"][:, index])
+        assert [told[0] for told in other.told] == [told[0] for told in one.told]
+
+    def test_they_hear_of_the_end_of_a_run_that_fails(self):
+        observer = Memory()
+        with pytest.raises(UpslopeError):
+            run(walks(DRIFTS, breaks_at=2), keys(3), updates=7, every=3, observers=[observer])
+        assert observer.told[-1] == ("end",), "or a progress bar stays on the terminal, and files stay open"
+
+
+class TestDivergence:
+    def test_a_metric_that_is_not_finite_stops_the_run(self):
+        learners = walks(DRIFTS, breaks_at=5)
+        with pytest.raises(UpslopeError, match=r"step of learner 0 is not a finite number by update 6 \(3 of 3"):
+            run(learners, keys(3), updates=7, every=3)
+
+    def test_the_learner_at_fault_is_named(self):
+        learners = stack([walks(0.0), walks(0.0, breaks_at=1), walks(0.0)])
+        with pytest.raises(UpslopeError, match=r"learner 1 .* by update 3 \(1 of 3"):
+            run(learners, keys(3), updates=7, every=3)
+
+    def test_it_goes_on_where_that_is_allowed(self):
+        outcome = run(walks(DRIFTS, breaks_at=5), keys(3), updates=7, every=3, allow_divergence=True)
+        np.testing.assert_array_equal(np.isnan(outcome.metrics["step"][0]), [False, False, True, False])
+        assert outcome.states.steps.tolist() == [7, 7, 7]
+
+    @pytest.mark.parametrize(("updates", "every"), [(0, 1), (1, 0), (-1, 1)])
+    def test_less_than_one_update_can_t_be_run(self, updates, every):
+        with pytest.raises(UpslopeError, match="give at least 1"):
+            walk(updates=updates, every=every)
+
+
+def test_states_given_to_observers_are_plain_numpy():
+    observer = Memory()
+    walk(observers=[observer])
+    assert all(isinstance(told[2], np.ndarray) for told in observer.told[1:-1])
+    assert not any(isinstance(told[2], jnp.ndarray) for told in observer.told[1:-1])

@@ -1,0 +1,102 @@
+"""How results are summed up: quartiles and interquartile means by hand, bootstrap intervals, first crossings."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from upslope.statistics import bootstrap, first_at_least, interquartile_mean, quartiles
+
+#: Two seeds, four tasks, two evaluations: 1 to 8 at the first, ten times that at the second.
+EIGHT = np.stack([np.arange(1.0, 9.0), 10 * np.arange(1.0, 9.0)], axis=-1).reshape(2, 4, 2)
+
+
+def noisy_scores(seeds, tasks=3, spread=10.0):
+    rng = np.random.default_rng(0)
+    return 100 + spread * rng.normal(size=(seeds, tasks, 2))
+
+
+class TestQuartiles:
+    def test_by_hand(self):
+        # Linear interpolation between the ranks 1 … 8: 1 + 7/4, 1 + 7/2, 1 + 21/4.
+        result = quartiles(EIGHT)
+        np.testing.assert_allclose(result.q1, [2.75, 27.5])
+        np.testing.assert_allclose(result.median, [4.5, 45.0])
+        np.testing.assert_allclose(result.q3, [6.25, 62.5])
+
+    def test_seeds_and_tasks_count_alike(self):
+        swapped = np.swapaxes(EIGHT, 0, 1)
+        np.testing.assert_array_equal(quartiles(EIGHT), quartiles(swapped))
+
+
+class TestInterquartileMean:
+    def test_by_hand(self):
+        np.testing.assert_allclose(interquartile_mean(EIGHT), [4.5, 45.0])  # of 3, 4, 5, 6
+
+    def test_outliers_do_not_count(self):
+        wild = EIGHT.copy()
+        wild[0, 0], wild[1, 3] = -1e6, 1e6
+        np.testing.assert_allclose(interquartile_mean(wild), [4.5, 45.0])
+
+    def test_it_is_not_the_median(self):
+        scores = np.array([0.0, 1.0, 1.0, 4.0]).reshape(2, 2, 1)
+        np.testing.assert_allclose(interquartile_mean(scores), [1.0])
+        scores = np.array([0.0, 0, 0, 4, 10, 10, 10, 10]).reshape(2, 4, 1)
+        np.testing.assert_allclose(interquartile_mean(scores), [6.0])  # of 0, 4, 10, 10; the median is 7
+
+
+class TestBootstrap:
+    def test_the_interval_holds_the_interquartile_mean(self):
+        scores = noisy_scores(10)
+        interval = bootstrap(scores, samples=300)
+        np.testing.assert_array_equal(interval.iqm, interquartile_mean(scores))
+        assert np.all(interval.low < interval.iqm)
+        assert np.all(interval.iqm < interval.high)
+
+    def test_it_is_deterministic_in_its_seed(self):
+        scores = noisy_scores(6)
+        np.testing.assert_array_equal(bootstrap(scores, samples=100), bootstrap(scores, samples=100))
+        assert not np.array_equal(bootstrap(scores, samples=100).low, bootstrap(scores, samples=100, seed=1).low)
+
+    def test_it_shrinks_with_more_seeds(self):
+        few, many = (bootstrap(noisy_scores(seeds), samples=300) for seeds in (5, 80))
+        assert np.all(many.high - many.low < 0.5 * (few.high - few.low))
+
+    def test_it_shrinks_with_less_confidence(self):
+        sure, unsure = (bootstrap(noisy_scores(10), samples=300, confidence=c) for c in (0.99, 0.5))
+        assert np.all(unsure.high - unsure.low < sure.high - sure.low)
+
+    def test_it_is_stratified_by_task(self):
+        # Tasks differ hugely, seeds not at all: resampling seeds within tasks finds no doubt, resampling runs would.
+        scores = np.broadcast_to(np.array([0.0, 50.0, 100.0])[None, :, None], (5, 3, 1)).copy()
+        interval = bootstrap(scores, samples=50)
+        assert interval.low[0] == interval.iqm[0] == interval.high[0]
+
+    def test_a_whole_curve_is_resampled_together(self):
+        scores = noisy_scores(6)
+        scores[..., 1] = scores[..., 0]
+        interval = bootstrap(scores, samples=50)
+        assert interval.low[0] == interval.low[1]
+
+    @given(st.integers(0, 1000))
+    def test_bounds_lie_within_the_scores(self, seed):
+        scores = np.random.default_rng(seed).normal(size=(4, 2, 3))
+        interval = bootstrap(scores, samples=20)
+        assert np.all(interval.low <= interval.high)
+        assert np.all(scores.min((0, 1)) <= interval.low)
+        assert np.all(interval.high <= scores.max((0, 1)))
+
+
+class TestFirstAtLeast:
+    updates = np.array([0, 100, 200, 300])
+
+    @pytest.mark.parametrize(
+        ("threshold", "expected"),
+        [(15.0, 100), (20.0, 100), (21.0, 300), (10.0, 0), (40.0, 300), (40.1, None)],
+    )
+    def test_by_hand(self, threshold, expected):
+        curve = np.array([10.0, 20.0, 12.0, 40.0])
+        assert first_at_least(self.updates, curve, threshold) == expected
+
+    def test_it_is_a_plain_integer(self):
+        assert type(first_at_least(self.updates, np.ones(4), 1.0)) is int
