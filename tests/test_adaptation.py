@@ -34,6 +34,19 @@ def mean_squared_td_error(q, next_q):
     return float(np.mean((BATCH.reward + BATCH.discount * np.asarray(next_q).max(-1) - taken) ** 2))
 
 
+def mean_of_pull(network, errors, scores):
+    """Mean over the batch of −2·δ·∇scores(s, a): the semi-gradient of a mean squared TD error, one sample at a time."""
+    slopes = jax.vmap(lambda obs, action: jax.grad(lambda net: scores(net, obs)[action])(network))(
+        BATCH.obs, BATCH.action
+    )
+    return jax.tree.map(lambda leaf: jnp.mean(jax.vmap(jnp.multiply)(-2 * errors, leaf), axis=0), slopes)
+
+
+def td_errors(rewards, scores, next_scores):
+    taken = jnp.take_along_axis(scores, BATCH.action[:, None], 1)[:, 0]
+    return rewards + BATCH.discount * next_scores.max(-1) - taken
+
+
 def test_the_batch_has_both_ordinary_and_terminal_transitions():
     assert 0 < np.count_nonzero(BATCH.discount) < len(BATCH.discount)
 
@@ -73,6 +86,13 @@ class TestEquation8:
         next_value, next_advantage = jax.vmap(OTHER.heads)(BATCH.next_obs)
         expected = mean_squared_td_error(value[:, None] + advantage, next_value[:, None] + next_advantage)
         assert float(loss) == pytest.approx(expected, rel=1e-5)
+
+    def test_its_gradient_is_that_of_q_learning_on_the_shaped_task(self):
+        f = BATCH.discount * jax.vmap(OTHER.value)(BATCH.next_obs) - jax.vmap(OTHER.value)(BATCH.obs)
+        centred = jax.vmap(lambda obs: OTHER.advantage(obs) - LEVEL(obs))
+        errors = td_errors(BATCH.reward + f, centred(BATCH.obs), centred(BATCH.next_obs))
+        ours = jax.grad(advantage_step_loss)(OTHER, OTHER, BATCH, LEVEL)
+        assert_trees_close(ours, mean_of_pull(OTHER, errors, lambda net, obs: net.advantage(obs)), rtol=1e-4)
 
     def test_the_rewards_are_shaped_at_all(self):
         zero = jax.tree.map(jnp.zeros_like, PRIOR)
@@ -142,6 +162,11 @@ class TestFineTuning:
         expected = mean_squared_td_error(jax.vmap(OTHER)(BATCH.obs), jax.vmap(OTHER)(BATCH.next_obs))
         assert float(fine_tuning_loss(OTHER, BATCH)) == pytest.approx(expected, rel=1e-5)
 
+    def test_its_gradient_is_that_of_q_learning(self):
+        q, next_q = jax.vmap(OTHER)(BATCH.obs), jax.vmap(OTHER)(BATCH.next_obs)
+        expected = mean_of_pull(OTHER, td_errors(BATCH.reward, q, next_q), lambda net, obs: net(obs))
+        assert_trees_close(jax.grad(fine_tuning_loss)(OTHER, BATCH), expected, rtol=1e-4)
+
     def test_the_prior_plays_no_part(self):
         assert_trees_identical(updated(FineTuning(), OTHER), updated(FineTuning(), OTHER, prior=OTHER))
 
@@ -167,6 +192,12 @@ class TestWhereTheArmsMeet:
 
     def test_centred_td_moves_the_value_head_as_fine_tuning_does(self):
         assert_trees_close(updated(CentredTD(), PRIOR).value_head, updated(FineTuning(), PRIOR).value_head)
+
+    def test_centred_td_s_gradient_is_that_of_q_learning_on_v_plus_a(self):
+        centred = jax.vmap(lambda obs: OTHER.value(obs) + OTHER.advantage(obs) - LEVEL(obs))
+        errors = td_errors(BATCH.reward, centred(BATCH.obs), centred(BATCH.next_obs))
+        expected = mean_of_pull(OTHER, errors, lambda net, obs: net.value(obs) + net.advantage(obs))
+        assert_trees_close(jax.grad(centred_td_loss)(OTHER, PRIOR, BATCH), expected, rtol=1e-4)
 
     def test_fine_tuning_differs_on_the_advantage_head_by_the_running_maximum(self):
         # Of Q = V + A − max A only actions other than the best one reach the A head; its biases' gradients sum to zero.

@@ -1,5 +1,6 @@
 """The one loop: marks, shapes, padding, determinism, compiling once, observers, divergence."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -69,6 +70,10 @@ class TestMarksAndShapes:
     def test_axes_keep_their_order(self):
         drifts = 10.0 * np.arange(6).reshape(2, 3)
         np.testing.assert_allclose(walk(drifts).states.place, 7 * drifts, atol=2)
+
+    def test_settings_without_a_batch_axis_are_shared_by_all(self):
+        shared = eqx.tree_at(lambda walk: walk.drift, walks(DRIFTS), jnp.asarray(4.0))
+        np.testing.assert_allclose(run(shared, keys(3), updates=7, every=3).states.place, 28, atol=2)
 
     def test_broadcast_copies_a_learner(self):
         copies = broadcast(walks(1.5), (2, 3))

@@ -169,6 +169,52 @@ class TestAveraging:
         assert_trees_close(learner(averaging=0.0)._average(theta, old), theta, rtol=1e-6)
 
 
+class TestCollecting:
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def collected():
+        meta = learner(tasks=3, steps_per_task=200, epsilon=(0.0, 1.0))
+        theta = meta.init(jax.random.key(0)).theta
+        tasks = meta.family.sample_many(jax.random.key(1), 3)
+        return theta, jax.jit(meta.collect)(jax.random.key(2), tasks, theta)
+
+    def test_each_task_has_its_own_epsilon(self, collected):
+        theta, batch = collected
+        greedy = jnp.argmax(jax.vmap(jax.vmap(theta))(batch.obs), axis=-1)
+        strayed = np.mean(batch.action != greedy, axis=1)
+        # Half of the random actions of two are greedy ones: 0, 1/4 and 1/2, give or take three standard deviations.
+        assert strayed[0] == 0
+        np.testing.assert_allclose(strayed[1:], [0.25, 0.5], atol=0.11)
+
+    def test_samples_are_of_their_own_task(self, collected):
+        theta, batch = collected
+        marked = batch._replace(reward=jnp.broadcast_to(jnp.arange(3.0)[:, None], batch.reward.shape))
+        drawn = learner(tasks=3).draw(jax.random.key(3), marked, theta)
+        np.testing.assert_array_equal(drawn.batch.reward, np.broadcast_to(np.arange(3.0)[:, None], (3, BATCH)))
+        np.testing.assert_allclose(drawn.next_q, jax.vmap(jax.vmap(theta))(drawn.batch.next_obs), rtol=1e-5)
+
+    def test_without_an_averaged_network_there_are_no_fixed_targets(self, collected):
+        theta, batch = collected
+        assert learner(tasks=3, target_decay=None).draw(jax.random.key(3), batch, theta).next_q is None
+
+
+class TestOptimiser:
+    def test_plain_descent_falls_linearly_from_first_to_last_step_size(self):
+        # 4 iterations of 2 outer updates: β = 0.8 before the first of 8 steps, 0 after the last.
+        optimiser = learner(outer_optimiser="sgd", outer_step_size=0.8, outer_step_size_end=0.0)._optimiser()
+        state, steps = optimiser.init(jnp.zeros(())), []
+        for _ in range(9):
+            change, state = optimiser.update(jnp.ones(()), state)
+            steps.append(float(change))
+        np.testing.assert_allclose(steps, -0.1 * np.arange(8, -1, -1), atol=1e-6)
+
+    def test_adam_is_indifferent_to_the_gradient_s_scale(self):
+        optimiser = learner(outer_step_size=0.8)._optimiser()
+        for scale in (1.0, 1e3):
+            change, _ = optimiser.update(jnp.asarray(scale), optimiser.init(jnp.zeros(())))
+            assert float(change) == pytest.approx(-0.8, rel=1e-3)
+
+
 class TestSnapshots:
     @pytest.mark.parametrize(
         ("returns", "share", "expected"),

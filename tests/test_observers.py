@@ -64,13 +64,13 @@ class TestEventLog:
         assert {path.name for path in (folder / "events").iterdir()} == {"a_run", "another_run"}
 
 
-def test_the_progress_bar_shows_title_count_and_median():
+def test_the_progress_bar_shows_title_share_and_median():
     output = io.StringIO()
     observe(ProgressBar(Console(file=output, width=200, force_terminal=True)))
     text = output.getvalue()
     assert "a run" in text
-    assert "100/100" in text
-    assert "median return 125.0" in text
+    assert "100%" in text
+    assert "return 125.0" in text
 
 
 class TestFolders:

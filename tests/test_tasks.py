@@ -11,9 +11,11 @@ from upslope.envs.cartpole import CartPole
 from upslope.errors import UpslopeError
 from upslope.potentials import stack
 from upslope.tasks import cartpoles
-from upslope.tasks.cartpoles import cartpole_task
 
-LIMITS = {"angle_limit": np.radians(15), "track_limit": 2.4, "max_steps": 200}
+
+def pole(length):
+    """The task of the paper's family with this length."""
+    return cartpoles().sample_params.with_length(length)
 
 
 class TestSettings:
@@ -152,7 +154,7 @@ class TestCollecting:
 
 class TestReturns:
     lengths = np.linspace(0.25, 5.0, 16)
-    tasks = stack([cartpole_task(length, **LIMITS) for length in lengths])
+    tasks = stack([pole(float(length)) for length in lengths])
 
     def returns(self, policy, key):
         return np.asarray(jax.jit(lambda key: cartpoles().returns(key, self.tasks, policy))(key))
@@ -173,6 +175,25 @@ class TestReturns:
             twin = gymnasium_twin(float(np.float32(length)))
             assert total == len(gymnasium_trajectory(twin, np.asarray(start), [action] * 200))
         assert len(set(ours.tolist())) > 3, "long poles fall slowly"
+
+
+class TestFamilyOfOne:
+    task = cartpoles().sample(jax.random.key(4))
+
+    def test_every_draw_is_the_same_task(self):
+        family = SHORT.only(self.task)
+        assert_trees_identical(family.sample(jax.random.key(0)), self.task)
+        assert family.sample_many(jax.random.key(0), 3).length.tolist() == [float(self.task.length)] * 3
+
+    def test_all_else_is_as_before(self):
+        family = SHORT.only(self.task)
+        for name in ("name", "gamma", "observation_shape", "observation_scale", "actions", "continuous", "max_steps"):
+            assert getattr(family, name) == getattr(SHORT, name)
+
+    def test_families_of_one_stack(self):
+        together = stack([SHORT.only(pole(length)) for length in (1.0, 2.0)])
+        drawn = jax.vmap(lambda family: family.sample(jax.random.key(0)))(together)
+        assert drawn.length.tolist() == [1.0, 2.0]
 
 
 def test_environments_compare_by_value():

@@ -20,7 +20,21 @@ def td_loss(q: ActionValues, action: ActionIndex, reward: Scalar, discount: Scal
 
     The gradient flows wherever the caller lets it: pass ``stop_gradient(next_q)`` for the semi-gradient.
     """
-    return (reward + discount * jnp.max(next_q) - q[action]) ** 2
+    return td_error(q, action, reward, discount, next_q) ** 2
+
+
+def td_error(q: ActionValues, action: ActionIndex, reward: Scalar, discount: Scalar, next_q: ActionValues) -> Scalar:
+    """R + d·max_a' Q(s', a') − Q(s, a), what Eq. 5 squares."""
+    return reward + discount * jnp.max(next_q) - q[action]
+
+
+def huber(error: Scalar, threshold: float) -> Scalar:
+    """A squared error that grows only linearly beyond the threshold.
+
+    Shaping by Φ pays −Φ(s) at a failure: an outlier that the squared TD error of a vanilla learner overreacts to.
+    """
+    size = jnp.abs(error)
+    return jnp.where(size <= threshold, size**2, threshold * (2 * size - threshold))
 
 
 def dueling_q(value: Scalar, advantage: ActionValues) -> ActionValues:

@@ -90,8 +90,10 @@ class MetaTrainingConfig:
 
 
 def as_printed() -> MetaTrainingConfig:
-    """Algorithm 1 to the letter: N = 1, one plain gradient step per iteration on the inner step's own samples, the graph
-    kept on both sides of Eq. 7, no target network, one ε, the last θ. It collapses: see docs/deviations.md.
+    """Algorithm 1 to the letter; it collapses (docs/deviations.md).
+
+    N = 1, one plain gradient step per iteration on the inner step's own samples, the graph kept on both sides of Eq. 7,
+    no target network, one ε for all tasks, the last θ as the prior. β is the best of three that were tried.
     """
     return MetaTrainingConfig(
         activation="relu",

@@ -1,6 +1,7 @@
 """A prior: the meta-learned network together with what it was trained on; saved as one safetensors file."""
 
 import json
+import math
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -165,11 +166,25 @@ def _read_header(path: Path, metadata: dict[str, str]) -> TrainedOn:
         entries = json.loads(metadata["trained_on"])
         for name in ("observation_shape", "observation_scale", "hidden"):
             entries[name] = tuple(entries[name])
-        if entries["activation"] not in ACTIVATIONS:
-            raise ValueError(f"activation {entries['activation']!r} is unknown")
-        return TrainedOn(**entries)
+        trained_on = TrainedOn(**entries)
+        _check_header(trained_on)
+        return trained_on
     except (KeyError, TypeError, ValueError) as error:
         raise UpslopeError(f"{path} has a damaged header ({error}): make the prior again.") from error
+
+
+def _check_header(trained_on: TrainedOn) -> None:
+    """Raises ValueError where the header's entries make no network or no discount."""
+    shape, scale, gamma = trained_on.observation_shape, trained_on.observation_scale, trained_on.gamma
+    sizes = (*shape, *trained_on.hidden, trained_on.actions)
+    if not (len(shape) == 1 and trained_on.hidden and all(isinstance(size, int) and size > 0 for size in sizes)):
+        raise ValueError("its sizes make no network")
+    if len(scale) != shape[0] or not all(isinstance(factor, int | float) and math.isfinite(factor) for factor in scale):
+        raise ValueError("its scales do not fit the observations")
+    if trained_on.activation not in ACTIVATIONS:
+        raise ValueError(f"activation {trained_on.activation!r} is unknown")
+    if not (isinstance(gamma, int | float) and 0 < gamma <= 1):
+        raise ValueError(f"gamma {gamma!r} is no discount")
 
 
 def _fill(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> DuelingQ:

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.stats import trim_mean
 
 Scores = Float[np.ndarray, "seeds tasks evaluations"]
@@ -42,15 +42,29 @@ def bootstrap(scores: Scores, *, samples: int = 2000, confidence: float = 0.95, 
 
     Each resample draws, for every task on its own, as many seeds as there are, with replacement.
     """
-    seeds, tasks, _ = scores.shape
+    seeds, tasks, evaluations = scores.shape
     rng = np.random.default_rng(seed)
-    resampled = np.empty((samples, scores.shape[2]))
-    for index in range(samples):
-        drawn = rng.integers(seeds, size=(seeds, tasks))
-        resampled[index] = interquartile_mean(scores[drawn, np.arange(tasks)])
+    # How often each run is drawn says all: a run drawn twice counts twice in the sorted order.
+    drawn = rng.multinomial(seeds, np.full(seeds, 1 / seeds), size=(samples, tasks))
+    counts = np.swapaxes(drawn, 1, 2).reshape(samples, seeds * tasks)
+    runs = _runs(scores)
+    resampled = np.stack([_weighted_iqm(runs[:, index], counts) for index in range(evaluations)], axis=1)
     tail = 50 * (1 - confidence)
     low, high = np.percentile(resampled, [tail, 100 - tail], axis=0)
     return Interval(interquartile_mean(scores), low, high)
+
+
+def _weighted_iqm(
+    values: Float[np.ndarray, "runs"], counts: Int[np.ndarray, "samples runs"]
+) -> Float[np.ndarray, "samples"]:
+    """The interquartile mean of each resample in which run r stands ``counts[:, r]`` times."""
+    order = np.argsort(values)
+    until = np.cumsum(counts[:, order], axis=1)
+    trimmed = values.size // 4
+    below, above = trimmed, values.size - trimmed
+    upto = np.clip(until, below, above)
+    kept = np.diff(upto, axis=1, prepend=below)
+    return kept @ values[order] / (above - below)
 
 
 def first_at_least(updates: np.ndarray, curve: Curve, threshold: float) -> int | None:

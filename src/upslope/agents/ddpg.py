@@ -10,6 +10,7 @@ import optax
 from upslope.agents.dqn import adam
 from upslope.agents.experience import Experience, greedy_return
 from upslope.learner import AbstractLearner
+from upslope.losses import huber
 from upslope.networks import Actor, Critic
 from upslope.policies import Deterministic, Noisy
 from upslope.shaping import Shaping, shape
@@ -29,6 +30,7 @@ class DDPGConfig:
         replay_capacity: transitions remembered.
         warmup_steps: steps of the untrained noisy policy before the first update.
         steps_per_update: environment steps before each update.
+        huber_threshold: TD errors of the critic beyond it count linearly, not squared.
         noise: standard deviation of the exploration noise, in units of the full force.
         target_rate: share of the networks that moves into the target networks at each update.
         saturation_penalty: weight of the squared tanh pre-activation in the actor's loss; keeps the tanh alive.
@@ -36,14 +38,15 @@ class DDPGConfig:
     """
 
     hidden: tuple[int, ...] = (32, 32)
-    learning_rate: float = 1e-3
+    learning_rate: float = 1.5e-3
     decay_updates: int = 3000
     batch_size: int = 64
     replay_capacity: int = 10_000
-    warmup_steps: int = 128
+    warmup_steps: int = 256
     steps_per_update: int = 1
+    huber_threshold: float = 3.0
     noise: float = 0.3
-    target_rate: float = 0.01
+    target_rate: float = 0.003
     saturation_penalty: float = 0.03
     evaluation_episodes: int = 3
 
@@ -89,13 +92,15 @@ class DDPG(AbstractLearner):
         )
         batch = shape(*experience.sample(sample_key, config.batch_size))
 
-        critic_loss, gradient = jax.value_and_grad(critic_error)(
-            state.critic, state.target_actor, state.target_critic, batch
+        critic_objective, gradient = jax.value_and_grad(critic_loss)(
+            state.critic, state.target_actor, state.target_critic, batch, config.huber_threshold
         )
         change, critic_optimiser = self._adam().update(gradient, state.optimisers[1])
         critic = optax.apply_updates(state.critic, change)
 
-        actor_loss, gradient = jax.value_and_grad(actor_error)(state.actor, critic, batch, config.saturation_penalty)
+        actor_objective, gradient = jax.value_and_grad(actor_loss)(
+            state.actor, critic, batch, config.saturation_penalty
+        )
         change, actor_optimiser = self._adam().update(gradient, state.optimisers[0])
         actor = optax.apply_updates(state.actor, change)
 
@@ -108,7 +113,11 @@ class DDPG(AbstractLearner):
             (actor_optimiser, critic_optimiser),
             experience,
         )
-        metrics = {"critic_loss": critic_loss, "actor_loss": actor_loss, "mean_reward": jnp.mean(batch.reward)}
+        metrics = {
+            "critic_loss": critic_objective,
+            "actor_loss": actor_objective,
+            "mean_reward": jnp.mean(batch.reward),
+        }
         return following, metrics
 
     def report(self, state: DDPGState) -> dict[str, Scalar]:
@@ -120,14 +129,17 @@ class DDPG(AbstractLearner):
         return adam(self.config.learning_rate, self.config.decay_updates)
 
 
-def critic_error(critic: Critic, target_actor: Actor, target_critic: Critic, batch: Transition) -> Scalar:
-    """Mean squared TD error of the critic, the bootstrap by the target actor's action."""
+def critic_loss(
+    critic: Critic, target_actor: Actor, target_critic: Critic, batch: Transition, threshold: float
+) -> Scalar:
+    """Mean Huber loss of the critic's TD errors, the bootstrap by the target actor's action."""
     next_q = jax.vmap(target_critic)(batch.next_obs, jax.vmap(target_actor)(batch.next_obs))
     q = jax.vmap(critic)(batch.obs, batch.action)
-    return jnp.mean((batch.reward + batch.discount * next_q - q) ** 2)
+    errors = batch.reward + batch.discount * next_q - q
+    return jnp.mean(jax.vmap(huber, in_axes=(0, None))(errors, threshold))
 
 
-def actor_error(actor: Actor, critic: Critic, batch: Transition, saturation_penalty: float) -> Scalar:
+def actor_loss(actor: Actor, critic: Critic, batch: Transition, saturation_penalty: float) -> Scalar:
     """Minus the critic's value of the actor's actions, with a penalty that keeps the tanh from saturating."""
     pre_activation = jax.vmap(actor.pre_activation)(batch.obs)
     q = jax.vmap(critic)(batch.obs, jnp.tanh(pre_activation))

@@ -9,7 +9,7 @@ import optax
 
 from upslope.agents.experience import Experience, greedy_return
 from upslope.learner import AbstractLearner
-from upslope.losses import td_loss
+from upslope.losses import huber, td_error
 from upslope.networks import QNetwork
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.shaping import Shaping, shape
@@ -29,18 +29,20 @@ class DQNConfig:
         replay_capacity: transitions remembered.
         warmup_steps: random steps before the first update.
         steps_per_update: environment steps before each update.
+        huber_threshold: TD errors beyond it count linearly, not squared.
         epsilon: share of random actions.
         target_rate: share of the network that moves into the target network at each update.
         evaluation_episodes: greedy episodes behind each reported return.
     """
 
     hidden: tuple[int, ...] = (32, 32)
-    learning_rate: float = 2e-3
-    decay_updates: int = 0
-    batch_size: int = 128
+    learning_rate: float = 4e-3
+    decay_updates: int = 1000
+    batch_size: int = 64
     replay_capacity: int = 10_000
-    warmup_steps: int = 128
+    warmup_steps: int = 256
     steps_per_update: int = 1
+    huber_threshold: float = 3.0
     epsilon: float = 0.1
     target_rate: float = 0.01
     evaluation_episodes: int = 3
@@ -86,7 +88,7 @@ class DQN(AbstractLearner):
             act_key, self.family, self.task, policy, self.config.steps_per_update, self.shaping
         )
         batch = shape(*experience.sample(sample_key, self.config.batch_size))
-        loss, gradient = jax.value_and_grad(td_error)(state.network, state.target, batch)
+        loss, gradient = jax.value_and_grad(dqn_loss)(state.network, state.target, batch, self.config.huber_threshold)
         change, optimiser = self._adam().update(gradient, state.optimiser)
         network = optax.apply_updates(state.network, change)
         target = optax.incremental_update(network, state.target, self.config.target_rate)
@@ -102,10 +104,11 @@ class DQN(AbstractLearner):
         return adam(self.config.learning_rate, self.config.decay_updates)
 
 
-def td_error(network: QNetwork, target: QNetwork, batch: Transition) -> Scalar:
-    """Mean of Eq. 5 over a batch, the bootstrap by the target network."""
+def dqn_loss(network: QNetwork, target: QNetwork, batch: Transition, threshold: float) -> Scalar:
+    """Mean Huber loss of the TD errors of a batch, the bootstrap by the target network."""
     q, next_q = jax.vmap(network)(batch.obs), jax.vmap(target)(batch.next_obs)
-    return jnp.mean(jax.vmap(td_loss)(q, batch.action, batch.reward, batch.discount, next_q))
+    errors = jax.vmap(td_error)(q, batch.action, batch.reward, batch.discount, next_q)
+    return jnp.mean(jax.vmap(huber, in_axes=(0, None))(errors, threshold))
 
 
 def adam(learning_rate: float, decay_updates: int) -> optax.GradientTransformation:

@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from upslope.experiments.results import Arm, FigureResult, Panel
-from upslope.statistics import quartiles
 
 #: What each arm is called and drawn with; dashed arms are references, dotted ones are not policy-invariant.
 STYLES: dict[str, tuple[str, str, str]] = {
@@ -60,9 +59,9 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     """Median returns over seeds and tasks, with the quartiles shaded."""
     for name, arm in panel.arms.items():
         label, colour, line = STYLES[name]
-        low, middle, high = quartiles(arm.returns)
-        axis.plot(arm.updates, middle, line, color=colour, label=label, linewidth=1.6)
-        axis.fill_between(arm.updates, low, high, color=colour, alpha=0.10, linewidth=0)
+        summary = arm.summary
+        axis.plot(arm.updates, summary["median"], line, color=colour, label=label, linewidth=1.6)
+        axis.fill_between(arm.updates, summary["q1"], summary["q3"], color=colour, alpha=0.10, linewidth=0)
     axis.set(title=panel.title, xlabel="updates", ylabel="return (median, quartiles)", ylim=(0, 206))
     axis.legend(frameon=False, fontsize=7, loc="lower right")
 

@@ -12,7 +12,7 @@ from upslope.experiments.keys import Purpose, key_for, keys_for
 from upslope.meta_training import MetaTraining, MetaTrainingConfig, best_snapshot
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
-from upslope.run.loop import broadcast, run
+from upslope.run.loop import Outcome, broadcast, run
 from upslope.run.observers import Observer
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Task
@@ -58,9 +58,8 @@ def meta_train_priors(
         observers=observers,
     )
     snapshots, returns = outcome.reports["prior"], outcome.reports["return"]
-    best = np.asarray([best_snapshot(row, config) for row in returns])
-    final = jax.tree.map(lambda leaf: leaf[np.arange(seeds), best], snapshots)
-    return Priors(final, snapshots, outcome.updates, returns, outcome.updates[best])
+    chosen = outcome.updates[[best_snapshot(row, config) for row in returns]]
+    return Priors(_best(outcome, config), snapshots, outcome.updates, returns, chosen)
 
 
 def oracles(
@@ -80,11 +79,17 @@ def oracles(
         learners,
         jax.random.split(key_for(first_seed, Purpose.ORACLE), count),
         updates=config.iterations,
-        every=max(config.iterations // 4, 1),
+        every=config.snapshot_every,
         title="oracles",
         observers=observers,
     )
-    return outcome.states.average
+    return _best(outcome, config)
+
+
+def _best(outcome: Outcome, config: MetaTrainingConfig) -> DuelingQ:
+    """Of every learner its best snapshot ``[learners, ...]``."""
+    best = np.asarray([best_snapshot(row, config) for row in outcome.reports["return"]])
+    return jax.tree.map(lambda leaf: leaf[np.arange(len(best)), best], outcome.reports["prior"])
 
 
 @jax.jit

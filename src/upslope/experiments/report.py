@@ -30,7 +30,7 @@ def panel_rows(panel: Panel) -> list[tuple[str, ...]]:
     """The table of a panel: medians at the first and last evaluation, and when the top was first reached."""
     rows: list[tuple[str, ...]] = []
     for name, arm in panel.arms.items():
-        summary = arm.summary()
+        summary = arm.summary
         first, last = summary["first_median_195"], summary["first_median_200"]
         rows.append(
             (
@@ -78,7 +78,7 @@ def _about_shaping(panel: Panel) -> str:
 
 
 def _about_adaptation(panel: Panel) -> str:
-    ours, theirs = panel.arms["algorithm2"].summary(), panel.arms["maml"].summary()
+    ours, theirs = panel.arms["algorithm2"].summary, panel.arms["maml"].summary
 
     def reached(summary: dict) -> float:
         return math.inf if summary["first_median_200"] is None else summary["first_median_200"]

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ class Arm:
     returns: Float[np.ndarray, "seeds tasks evaluations"]
     notes: dict[str, Any] = field(default_factory=dict)
 
+    @cached_property
     def summary(self) -> dict[str, Any]:
         """The curves and numbers of results.json."""
         middle, interval = quartiles(self.returns), bootstrap(self.returns)
@@ -121,14 +123,14 @@ def write_results(result: FigureResult, folder: Path) -> None:
 def _panel_json(panel: Panel) -> dict[str, Any]:
     entry = {
         "title": panel.title,
-        "arms": {name: arm.summary() for name, arm in panel.arms.items()},
+        "arms": {name: arm.summary for name, arm in panel.arms.items()},
         "seconds_compiling": panel.seconds_compiling,
         "seconds_running": panel.seconds_running,
         **panel.notes,
     }
     if panel.variants:
         entry["variants"] = {
-            variant: {name: arm.summary() for name, arm in arms.items()} for variant, arms in panel.variants.items()
+            variant: {name: arm.summary for name, arm in arms.items()} for variant, arms in panel.variants.items()
         }
     return entry
 

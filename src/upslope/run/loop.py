@@ -67,24 +67,27 @@ def run(
     began = time.perf_counter()
     batch = keys.shape
     count = int(np.prod(batch, dtype=int))
-    learners, keys = chunks.spread(jax.tree.map(lambda leaf: _flatten(leaf, batch, count), (learners, keys)))
+    learners = jax.tree.map(lambda leaf: _flatten(leaf, batch, count) if np.ndim(leaf) else leaf, learners)
+    learners, keys = chunks.spread((learners, _flatten(keys, batch, count)))
     marks = [0, *range(every, updates, every), updates]
     reports, metrics = [], []
     with compile_clock() as clock:
         for observer in observers:
             observer.begin(title, updates, count)
-        states = chunks.start(learners, keys)
-        for before, mark in zip([0, *marks], marks, strict=False):
-            states, chunk_metrics, report = chunks.advance(learners, states, mark - before)
-            chunk_metrics, report = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], (chunk_metrics, report))
-            if not allow_divergence:
-                _check_finite(title, mark, chunk_metrics)
-            metrics.append(chunk_metrics)
-            reports.append(report)
+        try:
+            states = chunks.start(learners, keys)
+            for before, mark in zip([0, *marks], marks, strict=False):
+                states, chunk_metrics, report = chunks.advance(learners, states, mark - before)
+                chunk_metrics, report = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], (chunk_metrics, report))
+                if not allow_divergence:
+                    _check_finite(title, mark, chunk_metrics)
+                metrics.append(chunk_metrics)
+                reports.append(report)
+                for observer in observers:
+                    observer.record(mark, report["return"], chunk_metrics)
+        finally:
             for observer in observers:
-                observer.record(mark, report["return"], chunk_metrics)
-        for observer in observers:
-            observer.end()
+                observer.end()
 
     def stacked(items: list) -> Any:
         return jax.tree.map(
@@ -109,8 +112,6 @@ def broadcast(learner: AbstractLearner, batch: tuple[int, ...]) -> AbstractLearn
 
 def _flatten(leaf: Any, batch: tuple[int, ...], count: int) -> Any:
     """The batch axes as one, padded by repetition of the last learner until the devices divide it."""
-    if not np.ndim(leaf):
-        return leaf
     leaf = leaf.reshape(count, *leaf.shape[len(batch) :])
     missing = -count % len(jax.local_devices())
     return jnp.concatenate([leaf, *[leaf[-1:]] * missing]) if missing else leaf
