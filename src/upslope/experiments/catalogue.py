@@ -1,64 +1,95 @@
-"""Which figures there are, and how one is reproduced: run, written, drawn, told."""
+"""Which experiments there are, and how one is reproduced: run, written, drawn, told."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 
 from upslope.errors import UpslopeError
+from upslope.experiments.deviations import DeviationsConfig, deviations
 from upslope.experiments.figure1 import Figure1Config, PanelName, figure1, quick
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
-from upslope.experiments.results import FigureResult, write_results
+from upslope.experiments.results import write_results
 from upslope.run.folder import claim
 from upslope.run.observers import EventLog, ProgressBar
 
-FIGURES = ("fig1",)
+EXPERIMENTS = ("fig1", "deviations")
+PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
 
 
 def reproduce(
-    figure: str,
+    experiment: str,
     *,
     out: Path | None = None,
     is_quick: bool = False,
     seeds: int | None = None,
     tasks: int | None = None,
     first_seed: int = 0,
-    panels: Sequence[PanelName] = ("left", "middle", "right"),
+    panels: Sequence[PanelName] = PANELS,
     console: Console | None = None,
-) -> FigureResult:
-    """Reproduces a figure of the paper into an empty folder.
-
-    Writes figure.png, figure.pdf, returns.npz, results.json, report.html and logs.
+) -> None:
+    """Runs an experiment into an empty folder, and sums it up on the console.
 
     Args:
-        figure: its name.
+        experiment: a figure of the paper, or ``deviations``.
         out: the folder; a new one under ``runs/`` if None.
         is_quick: the quick form.
-        seeds: how many; the paper's if None.
-        tasks: how many unseen tasks; the paper's if None.
+        seeds: how many; the experiment's own number if None.
+        tasks: how many unseen tasks; the experiment's own number if None.
         first_seed: other seeds and other test tasks.
         panels: of the figure.
         console: where the summary goes.
 
     Raises:
-        UpslopeError: an unknown figure, a folder that holds something, or counts below one.
+        UpslopeError: an unknown experiment or panel, a folder that holds something, or counts below one.
     """
-    if figure not in FIGURES:
-        raise UpslopeError(f"There is no figure {figure!r}: choose one of {', '.join(FIGURES)}.")
-    config = Figure1Config(first_seed=first_seed)
-    config = quick(config) if is_quick else config
-    if seeds is not None:
-        config = replace(config, seeds=seeds)
-    if tasks is not None:
-        config = replace(config, tasks=tasks)
-    folder = claim(out, figure)
+    if experiment not in EXPERIMENTS:
+        raise UpslopeError(f"There is no figure {experiment!r}: choose one of {', '.join(EXPERIMENTS)}.")
+    if not panels or not set(panels) <= set(PANELS):
+        raise UpslopeError(f"There are no panels {', '.join(panels)!r}: choose among {', '.join(PANELS)}.")
+    for name, count in (("seeds", seeds), ("tasks", tasks)):
+        if count is not None and count < 1:
+            raise UpslopeError(f"{count} {name} make no figure: give at least 1.")
     console = console or Console()
+    counts = {name: count for name, count in (("seeds", seeds), ("tasks", tasks)) if count is not None}
+    if experiment == "deviations":
+        _reproduce_deviations(DeviationsConfig(first_seed=first_seed, **counts), is_quick, out, console)
+    else:
+        _reproduce_figure1(Figure1Config(first_seed=first_seed, **counts), is_quick, panels, out, console)
+
+
+def _reproduce_figure1(
+    config: Figure1Config, is_quick: bool, panels: Sequence[PanelName], out: Path | None, console: Console
+) -> None:
+    folder = claim(out, "fig1")
+    config = quick(config) if is_quick else config
     result = figure1(config, panels=panels, is_quick=is_quick, observers=[ProgressBar(), EventLog(folder / "logs")])
     write_results(result, folder)
     draw(result, folder)
     write_report(result, folder)
     print_summary(result, console)
     console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; the picture is {folder / 'figure.png'}.")
-    return result
+
+
+def _reproduce_deviations(config: DeviationsConfig, is_quick: bool, out: Path | None, console: Console) -> None:
+    folder = claim(out, "deviations")
+    if is_quick:
+        config = replace(config, seeds=min(config.seeds, 2), tasks=min(config.tasks, 10), variants=("0", "1"))
+    results = deviations(config, [ProgressBar(), EventLog(folder / "logs")])
+    (folder / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    console.print(_deviations_table(results))
+    console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold].")
+
+
+def _deviations_table(results: dict[str, Any]) -> Table:
+    table = Table("", "changed", "median", "lowest", "≥ 195", "spread of V", title="Zero-shot return of the priors")
+    for name, row in results["variants"].items():
+        good = f"{row['at_least_195']} of {len(row['zero_shot'])}"
+        numbers = (f"{row['median']:.0f}", f"{row['zero_shot'][0]:.0f}", good, f"{row['value_spread_median']:.2f}")
+        table.add_row(name, row["what"], *numbers)
+    return table

@@ -55,7 +55,9 @@ class Figure1Config:
     every: int = 100
     meta_training: MetaTrainingConfig = field(default_factory=MetaTrainingConfig)
     oracle: MetaTrainingConfig = field(
-        default_factory=lambda: MetaTrainingConfig(tasks=4, iterations=300, evaluation_tasks=1)
+        default_factory=lambda: MetaTrainingConfig(
+            iterations=1000, tasks=5, steps_per_task=100, snapshot_every=50, evaluation_tasks=2
+        )
     )
     panel: AdaptationPanel = field(default_factory=AdaptationPanel)
     adaptation: AdaptationConfig = field(default_factory=lambda: AdaptationConfig(evaluation_episodes=1))
@@ -75,7 +77,7 @@ def quick(config: Figure1Config) -> Figure1Config:
         tasks=min(config.tasks, 10),
         dqn_updates=500,
         ddpg_updates=1000,
-        oracle=replace(config.oracle, iterations=100),
+        oracle=replace(config.oracle, iterations=200),
         panel=replace(config.panel, stops=(100, 150, 500), updates=10),
     )
 

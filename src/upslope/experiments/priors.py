@@ -47,6 +47,7 @@ def meta_train_priors(
     first_seed: int,
     seeds: int,
     observers: Sequence[Observer] = (),
+    title: str = "meta-training",
 ) -> Priors:
     """Algorithm 1, one prior per seed, all in one program."""
     outcome = run(
@@ -54,7 +55,7 @@ def meta_train_priors(
         keys_for(first_seed, seeds, Purpose.META_TRAINING),
         updates=config.iterations,
         every=config.snapshot_every,
-        title="meta-training",
+        title=title,
         observers=observers,
     )
     snapshots, returns = outcome.reports["prior"], outcome.reports["return"]

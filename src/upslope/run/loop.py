@@ -1,5 +1,6 @@
 """The one loop. It runs whatever learns, and knows nothing of any algorithm."""
 
+import math
 import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -20,7 +21,8 @@ class Outcome(NamedTuple):
     """What a run leaves behind.
 
     Attributes:
-        states: of all learners at the end ``[*batch, ...]``.
+        flat_states: of all learners at the end, their batch axes flattened and padded for the devices.
+        batch: the batch axes.
         updates: steps taken at each report ``[reports]``.
         reports: what the learners reported, by name ``[*batch, reports, ...]``.
         metrics: chunk means of the learners' metrics, by name ``[*batch, reports]``; zeros before the first step.
@@ -29,13 +31,20 @@ class Outcome(NamedTuple):
         programs: how many were compiled.
     """
 
-    states: Any
+    flat_states: Any
+    batch: tuple[int, ...]
     updates: np.ndarray
     reports: dict[str, Any]
     metrics: dict[str, np.ndarray]
     seconds_compiling: float
     seconds_running: float
     programs: int
+
+    @property
+    def states(self) -> Any:
+        """Of all learners at the end ``[*batch, ...]``; gathered from the devices when asked for."""
+        count = math.prod(self.batch)
+        return jax.tree.map(lambda leaf: leaf[:count].reshape(*self.batch, *leaf.shape[1:]), self.flat_states)
 
 
 def run(
@@ -66,7 +75,7 @@ def run(
         raise UpslopeError(f"{updates} updates, reported every {every}, can't be run: give at least 1 of each.")
     began = time.perf_counter()
     batch = keys.shape
-    count = int(np.prod(batch, dtype=int))
+    count = math.prod(batch)
     learners = jax.tree.map(lambda leaf: _flatten(leaf, batch, count) if np.ndim(leaf) else leaf, learners)
     learners, keys = chunks.spread((learners, _flatten(keys, batch, count)))
     marks = [0, *range(every, updates, every), updates]
@@ -95,7 +104,8 @@ def run(
         )
 
     return Outcome(
-        jax.tree.map(lambda leaf: leaf[:count].reshape(*batch, *leaf.shape[1:]), states),
+        states,
+        batch,
         np.asarray(marks),
         stacked(reports),
         stacked(metrics),

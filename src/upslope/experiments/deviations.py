@@ -1,0 +1,124 @@
+"""What each difference from the paper is worth: Algorithm 1 to the letter, the recipe, and the recipe less one thing."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.priors import Priors, meta_train_priors, zero_shot_returns
+from upslope.meta_training import MetaTrainingConfig, as_printed
+from upslope.networks import DuelingQ
+from upslope.policies import EpsilonGreedy
+from upslope.run.compiling import compile_clock
+from upslope.run.machine import hardware, versions
+from upslope.run.observers import Observer
+from upslope.tasks import JaxTasks, cartpoles
+
+RECIPE = MetaTrainingConfig()
+
+#: By the number of the entry in docs/deviations.md: what is changed, and the settings with only that changed.
+VARIANTS: dict[str, tuple[str, MetaTrainingConfig]] = {
+    "0": ("the recipe", RECIPE),
+    "1": ("Algorithm 1 to the letter, SGD with β = 0.1", as_printed()),
+    "1b": ("to the letter, Adam with β = 0.005", replace(as_printed(), outer_optimiser="adam", outer_step_size=0.005)),
+    "1c": ("to the letter, semi-gradient of Eq. 5", replace(as_printed(), td_gradient="semi")),
+    "2": ("Q_φ kept in the graph as the target of Eq. 7", replace(RECIPE, outer_target="kept")),
+    "2b": ("the same, first order", replace(RECIPE, outer_target="kept", first_order=True)),
+    "3": ("no target network", replace(RECIPE, target_decay=None)),
+    "4": ("one outer update per iteration", replace(RECIPE, outer_updates=1)),
+    "5": ("β constant", replace(RECIPE, outer_step_size_end=RECIPE.outer_step_size)),
+    "6": (
+        "plain gradient descent for the outer step, β = 1",
+        replace(RECIPE, outer_optimiser="sgd", outer_step_size=1.0),
+    ),
+    "7": ("ε = 0.2 for every task", replace(RECIPE, epsilon=(0.2, 0.2))),
+    "8": ("ReLU", replace(RECIPE, activation="relu")),
+    "9": ("no average of θ", replace(RECIPE, averaging=0.0)),
+    "10": ("no selection among snapshots", replace(RECIPE, select_from=1.0)),
+    "11": ("full gradient of Eq. 5", replace(RECIPE, td_gradient="full")),
+    "12": ("N = 3 inner steps", replace(RECIPE, inner_steps=3)),
+}
+
+
+@dataclass(frozen=True)
+class DeviationsConfig:
+    """How the variants are compared.
+
+    Attributes:
+        seeds: priors of each variant.
+        first_seed: seeds are first_seed, first_seed + 1, …; the test tasks are drawn by it too.
+        tasks: unseen tasks.
+        variants: which; all if empty.
+    """
+
+    seeds: int = 10
+    first_seed: int = 0
+    tasks: int = 40
+    variants: tuple[str, ...] = ()
+
+
+def deviations(config: DeviationsConfig, observers: Sequence[Observer] = ()) -> dict[str, Any]:
+    """Meta-trains every variant and returns the content of its results.json.
+
+    Per variant: the zero-shot return of each seed's prior on unseen tasks, and how much V varies over states of
+    behaviour half random (its standard deviation: zero where the potential has collapsed).
+    """
+    began = time.perf_counter()
+    family = cartpoles()
+    tasks = family.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
+    rows = {}
+    with compile_clock() as clock:
+        for name, (what, settings) in VARIANTS.items():
+            if config.variants and name not in config.variants:
+                continue
+            start, compiled = time.perf_counter(), clock.seconds
+            priors = meta_train_priors(
+                family, settings, config.first_seed, config.seeds, observers, title=f"variant {name}"
+            )
+            rows[name] = {
+                "what": what,
+                **_measure(family, priors, tasks, config),
+                "seconds_compiling": clock.seconds - compiled,
+                "seconds": time.perf_counter() - start,
+                "settings": asdict(settings),
+            }
+    return {
+        "figure": "deviations",
+        "variants": rows,
+        "seconds_compiling": clock.seconds,
+        "seconds_running": time.perf_counter() - began - clock.seconds,
+        "versions": versions(),
+        "hardware": hardware(),
+        "configuration": asdict(config),
+    }
+
+
+def _measure(family: JaxTasks, priors: Priors, tasks: Any, config: DeviationsConfig) -> dict[str, Any]:
+    returns = zero_shot_returns(family, priors.final, tasks, key_for(config.first_seed, Purpose.ZERO_SHOT))
+    means = np.sort(np.asarray(returns).mean(axis=1))
+    spread = np.asarray(value_spread(family, priors.final, key_for(config.first_seed, Purpose.LEVEL)))
+    return {
+        "zero_shot": means.tolist(),
+        "median": float(np.median(means)),
+        "at_least_195": int(np.sum(means >= 195)),
+        "value_spread_median": float(np.median(spread)),
+    }
+
+
+@jax.jit
+def value_spread(family: JaxTasks, networks: DuelingQ, key: jax.Array) -> jax.Array:
+    """Each prior's standard deviation of V over the states that it visits on extra tasks with ε = 0.5 ``[seeds]``."""
+    task_key, reset_key, act_key = jax.random.split(key, 3)
+    tasks = family.sample_many(task_key, 20)
+
+    def spread(network: DuelingQ) -> jax.Array:
+        running = family.reset(reset_key, tasks)
+        _, seen = family.collect(act_key, tasks, running, EpsilonGreedy(network, 0.5), family.max_steps)
+        return jnp.std(jax.vmap(jax.vmap(network.value))(seen.obs))
+
+    return jax.vmap(spread)(networks)
