@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from upslope.errors import UpslopeError
-from upslope.experiments.deviations import DeviationsConfig, deviations
+from upslope.experiments.deviations import DeviationsConfig, deviations, quick_deviations
 from upslope.experiments.figure1 import Figure1Config, PanelName, figure1, quick
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
@@ -56,18 +56,20 @@ def reproduce(
         if count is not None and count < 1:
             raise UpslopeError(f"{count} {name} make no figure: give at least 1.")
     console = console or Console()
-    counts = {name: count for name, count in (("seeds", seeds), ("tasks", tasks)) if count is not None}
     if experiment == "deviations":
-        _reproduce_deviations(DeviationsConfig(first_seed=first_seed, **counts), is_quick, out, console)
+        study = quick_deviations(DeviationsConfig()) if is_quick else DeviationsConfig()
+        study = replace(study, first_seed=first_seed, seeds=seeds or study.seeds, tasks=tasks or study.tasks)
+        _reproduce_deviations(study, out, console)
     else:
-        _reproduce_figure1(Figure1Config(first_seed=first_seed, **counts), is_quick, panels, out, console)
+        config = quick(Figure1Config()) if is_quick else Figure1Config()
+        config = replace(config, first_seed=first_seed, seeds=seeds or config.seeds, tasks=tasks or config.tasks)
+        _reproduce_figure1(config, is_quick, panels, out, console)
 
 
 def _reproduce_figure1(
     config: Figure1Config, is_quick: bool, panels: Sequence[PanelName], out: Path | None, console: Console
 ) -> None:
     folder = claim(out, "fig1")
-    config = quick(config) if is_quick else config
     result = figure1(config, panels=panels, is_quick=is_quick, observers=[ProgressBar(), EventLog(folder / "logs")])
     write_results(result, folder)
     draw(result, folder)
@@ -76,10 +78,8 @@ def _reproduce_figure1(
     console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; the picture is {folder / 'figure.png'}.")
 
 
-def _reproduce_deviations(config: DeviationsConfig, is_quick: bool, out: Path | None, console: Console) -> None:
+def _reproduce_deviations(config: DeviationsConfig, out: Path | None, console: Console) -> None:
     folder = claim(out, "deviations")
-    if is_quick:
-        config = replace(config, seeds=min(config.seeds, 2), tasks=min(config.tasks, 10), variants=("0", "1"))
     results = deviations(config, [ProgressBar(), EventLog(folder / "logs")])
     (folder / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     console.print(_deviations_table(results))
