@@ -12,6 +12,7 @@ from support.toys import Memory, walks
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.errors import UpslopeError
 from upslope.potentials import stack
+from upslope.run.compiling import CompileClock
 from upslope.run.loop import broadcast, run
 
 DRIFTS = [0.0, 1.0, 2.0]
@@ -120,6 +121,11 @@ class TestCompiling:
         assert first.programs > 0
         assert again.programs == 0
         assert again.seconds_compiling < first.seconds_compiling
+
+    def test_seconds_are_counted_once_where_compiling_overlaps(self):
+        # From 0 to 3 with one piece inside another, and from 5 to 6.
+        assert CompileClock([(5.0, 6.0), (0.0, 2.0), (0.5, 1.0), (1.0, 3.0)]).seconds == 4.0
+        assert CompileClock().seconds == 0.0
 
 
 class TestObservers:

@@ -1,4 +1,4 @@
-"""Algorithm 1's outer gradient, kept and stopped, by hand; averaging; the report; settings that are refused."""
+"""Algorithm 1 around its gradient: experience, averaging, step sizes, snapshots, the report, settings refused."""
 
 import dataclasses
 import itertools
@@ -8,132 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from support.batches import random_batch, small_network
+from support.batches import small_network
 from support.comparing import assert_trees_close, assert_trees_identical
-from support.differences import assert_gradient
-from support.probes import discrete_family
+from support.meta import BATCH, TINY, learner
+from support.probes import discrete_family, observation_dependent
 from upslope.errors import UpslopeError
-from upslope.maml import adapt
-from upslope.meta_training import MetaTraining, MetaTrainingConfig, TaskSamples, best_snapshot
-
-TASKS, BATCH, ALPHA = 2, 3, 0.1
-TINY = MetaTrainingConfig(
-    iterations=4, tasks=TASKS, steps_per_task=8, batch_size=BATCH, hidden=(6, 5), inner_step_size=ALPHA,
-    outer_updates=2, evaluation_tasks=3, evaluation_episodes=2,
-)  # fmt: skip
-
-
-def learner(**changes) -> MetaTraining:
-    return MetaTraining(discrete_family(), dataclasses.replace(TINY, **changes))
-
-
-def samples(*, fixed_targets=True) -> TaskSamples:
-    """Random transitions of two tasks, TD targets from a network that is not θ."""
-    batch = random_batch(4, leading=(TASKS, BATCH))
-    target = small_network(7)
-    return TaskSamples(batch, jax.vmap(jax.vmap(target))(batch.next_obs) if fixed_targets else None)
-
-
-def of_task(data, index):
-    return jax.tree.map(lambda leaf: leaf[index], data)
-
-
-def outer_gradient(meta, theta, data):
-    return jax.jit(lambda net: jax.grad(meta.outer_loss)(net, data))(theta)
-
-
-@pytest.fixture
-def float64():
-    with jax.enable_x64(True):
-        yield
-
-
-@pytest.mark.usefixtures("float64")
-class TestKeptGraph:
-    """The literal reading of Eq. 7: gradients flow through φ(θ) as well."""
-
-    @pytest.mark.parametrize("inner_steps", [1, 2])
-    def test_with_constant_td_targets_it_is_the_exact_gradient(self, inner_steps):
-        meta, theta, data = learner(outer_target="kept", inner_steps=inner_steps), small_network(0), samples()
-        objective = jax.jit(lambda net: meta.outer_loss(net, data))
-        assert_gradient(objective, theta, outer_gradient(meta, theta, data), rtol=1e-5)
-
-    def test_with_full_td_gradients_it_is_the_exact_gradient(self):
-        meta = learner(outer_target="kept", td_gradient="full", target_decay=None)
-        theta, data = small_network(0), samples(fixed_targets=False)
-        objective = jax.jit(lambda net: meta.outer_loss(net, data))
-        assert_gradient(objective, theta, outer_gradient(meta, theta, data), rtol=1e-5)
-
-    def test_first_order_takes_the_posterior_s_jacobian_for_the_identity(self):
-        meta, theta, data = learner(outer_target="kept", first_order=True), small_network(0), samples()
-        ours = outer_gradient(meta, theta, data)
-        expected = mean_of_pull(meta, theta, data, through_posterior=True)
-        assert_trees_close(ours, expected, rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.usefixtures("float64")
-class TestStoppedTarget:
-    """Q_φ as a constant target: the gradient is that of a regression on Q_φ."""
-
-    @pytest.mark.parametrize("first_order", [False, True])
-    def test_it_is_the_regression_s_gradient(self, first_order):
-        meta, theta, data = learner(first_order=first_order), small_network(0), samples()
-        ours = outer_gradient(meta, theta, data)
-        assert_trees_close(ours, mean_of_pull(meta, theta, data), rtol=1e-9, atol=1e-12)
-
-    def test_it_differs_from_the_kept_one(self):
-        theta, data = small_network(0), samples()
-        stopped, kept = (outer_gradient(learner(outer_target=how), theta, data) for how in ("stopped", "kept"))
-        assert float(jnp.abs(stopped.value_head.bias - kept.value_head.bias).max()) > 1e-4
-
-
-def mean_of_pull(meta, theta, data, *, through_posterior=False):
-    """Mean over tasks and samples of 2·(Q_θ − Q_φ)·∇Q_θ; less ∇Q_φ where that is let through."""
-    gradients = []
-    for task in range(TASKS):
-        own = of_task(data, task)
-        phi = adapt(meta.task_td_loss, theta, own, step_size=ALPHA)
-        for index in range(BATCH):
-            obs, action = own.batch.obs[index], own.batch.action[index]
-            (q, slope), (target, target_slope) = (
-                jax.value_and_grad(lambda net, obs=obs, action=action: net(obs)[action])(net) for net in (theta, phi)
-            )
-            if through_posterior:
-                slope = jax.tree.map(jnp.subtract, slope, target_slope)
-            gradients.append(jax.tree.map(lambda g, pull=2 * (q - target): pull * g, slope))
-    return jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *gradients)
-
-
-class TestTDLoss:
-    """Mean of Eq. 5 over a task's batch, by either kind of target."""
-
-    def expected(self, next_q):
-        batch, theta = of_task(samples().batch, 0), small_network(0)
-        errors = [
-            float(batch.reward[i] + batch.discount[i] * next_q[i].max() - theta(batch.obs[i])[batch.action[i]])
-            for i in range(BATCH)
-        ]
-        return np.mean(np.square(errors))
-
-    def test_with_the_averaged_network_s_targets(self):
-        own = of_task(samples(), 0)
-        loss = learner().task_td_loss(small_network(0), own)
-        assert float(loss) == pytest.approx(self.expected(own.next_q), rel=1e-5)
-
-    def test_with_its_own_targets(self):
-        own = of_task(samples(fixed_targets=False), 0)
-        next_q = jax.vmap(small_network(0))(own.batch.next_obs)
-        assert float(learner().task_td_loss(small_network(0), own)) == pytest.approx(self.expected(next_q), rel=1e-5)
-
-    def test_semi_and_full_gradients_differ_only_with_own_targets(self):
-        theta = small_network(0)
-        for fixed, differ in ((True, False), (False, True)):
-            own = of_task(samples(fixed_targets=fixed), 0)
-            semi, full = (
-                jax.grad(learner(td_gradient=kind).task_td_loss)(theta, own).value_head.bias
-                for kind in ("semi", "full")
-            )
-            assert bool(jnp.abs(semi - full).max() > 1e-3) is differ
+from upslope.meta_training import MetaTraining, MetaTrainingConfig, best_snapshot
 
 
 @pytest.fixture(scope="module")
@@ -230,13 +110,21 @@ class TestSnapshots:
     def test_the_best_of_the_last_share(self, returns, share, expected):
         assert best_snapshot(np.array(returns, float), MetaTrainingConfig(select_from=share)) == expected
 
-    def test_snapshots_are_tried_on_the_same_tasks(self, states):
-        # The same network must earn the same, whatever was drawn in between.
-        meta = learner()
-        later = dataclasses.replace(states[0], key=jax.random.key(99))
-        report = jax.jit(meta.report)
-        assert float(report(states[0])["return"]) == float(report(later)["return"])
-        assert all(np.array_equal(*map(jax.random.key_data, (s.trial_key, states[0].trial_key))) for s in states)
+    def test_snapshots_are_tried_on_the_same_episodes(self, states):
+        # Episodes that start at random and earn −1 or 1 by their start alone.
+        meta = MetaTraining(
+            discrete_family().only(observation_dependent()), dataclasses.replace(TINY, evaluation_tasks=20)
+        )
+        report = jax.jit(lambda key, trial_key: meta.report(
+            dataclasses.replace(states[0], key=key, trial_key=trial_key))["return"])  # fmt: skip
+        first, later, other = (
+            float(report(jax.random.key(key), jax.random.key(trial))) for key, trial in ((0, 5), (1, 5), (0, 6))
+        )
+        assert first == later != other
+
+    def test_the_key_of_the_trials_never_changes(self, states):
+        for state in states:
+            assert_trees_identical(state.trial_key, states[0].trial_key)
 
 
 class TestReport:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upslope.statistics import bootstrap, first_at_least, interquartile_mean, quartiles
+from upslope.statistics import _weighted_iqm, bootstrap, first_at_least, interquartile_mean, quartiles
 
 #: Two seeds, four tasks, two evaluations: 1 to 8 at the first, ten times that at the second.
 EIGHT = np.stack([np.arange(1.0, 9.0), 10 * np.arange(1.0, 9.0)], axis=-1).reshape(2, 4, 2)
@@ -72,11 +72,27 @@ class TestBootstrap:
         interval = bootstrap(scores, samples=50)
         assert interval.low[0] == interval.iqm[0] == interval.high[0]
 
+    def test_each_task_draws_its_own_seeds(self):
+        # Two tasks that mirror each other: whole seeds drawn for both would always give an interquartile mean of zero.
+        scores = np.stack([np.arange(1.0, 6.0), -np.arange(1.0, 6.0)], axis=1)[..., None]
+        interval = bootstrap(scores, samples=300)
+        assert interval.iqm[0] == 0
+        assert interval.low[0] < -0.5
+        assert interval.high[0] > 0.5
+
     def test_a_whole_curve_is_resampled_together(self):
         scores = noisy_scores(6)
         scores[..., 1] = scores[..., 0]
         interval = bootstrap(scores, samples=50)
         assert interval.low[0] == interval.low[1]
+
+    @given(st.integers(0, 1000))
+    def test_counting_runs_equals_resampling_them(self, seed):
+        rng = np.random.default_rng(seed)
+        runs = rng.integers(0, 5, size=7).astype(float)  # with ties
+        counts = rng.multinomial(7, np.full(7, 1 / 7), size=3)
+        resampled = [interquartile_mean(np.repeat(runs, count)[:, None, None])[0] for count in counts]
+        np.testing.assert_allclose(_weighted_iqm(runs, counts), resampled)
 
     @given(st.integers(0, 1000))
     def test_bounds_lie_within_the_scores(self, seed):

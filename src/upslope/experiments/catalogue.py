@@ -1,8 +1,9 @@
 """Which experiments there are, and how one is reproduced: run, written, drawn, told."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,14 @@ from rich.table import Table
 from upslope.errors import UpslopeError
 from upslope.experiments.deviations import DeviationsConfig, deviations, quick_deviations
 from upslope.experiments.figure1 import Figure1Config, PanelName, figure1, quick
+from upslope.experiments.learners import ARMS, LearnersConfig, learners, quick_learners
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
 from upslope.experiments.results import write_results
 from upslope.run.folder import claim
-from upslope.run.observers import EventLog, ProgressBar
+from upslope.run.observers import EventLog, Observer, ProgressBar
 
-EXPERIMENTS = ("fig1", "deviations")
+EXPERIMENTS = ("fig1", "deviations", "learners")
 PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
 
 
@@ -36,7 +38,7 @@ def reproduce(
     """Runs an experiment into an empty folder, and sums it up on the console.
 
     Args:
-        experiment: a figure of the paper, or ``deviations``.
+        experiment: a figure of the paper, or ``deviations``, or ``learners``.
         out: the folder; a new one under ``runs/`` if None.
         is_quick: the quick form.
         seeds: how many; the experiment's own number if None.
@@ -56,14 +58,19 @@ def reproduce(
         if count is not None and count < 1:
             raise UpslopeError(f"{count} {name} make no figure: give at least 1.")
     console = console or Console()
-    if experiment == "deviations":
-        study = quick_deviations(DeviationsConfig()) if is_quick else DeviationsConfig()
-        study = replace(study, first_seed=first_seed, seeds=seeds or study.seeds, tasks=tasks or study.tasks)
-        _reproduce_deviations(study, out, console)
-    else:
+    if experiment == "fig1":
         config = quick(Figure1Config()) if is_quick else Figure1Config()
         config = replace(config, first_seed=first_seed, seeds=seeds or config.seeds, tasks=tasks or config.tasks)
         _reproduce_figure1(config, is_quick, panels, out, console)
+    elif experiment == "deviations":
+        study = quick_deviations(DeviationsConfig()) if is_quick else DeviationsConfig()
+        study = replace(study, first_seed=first_seed, seeds=seeds or study.seeds, tasks=tasks or study.tasks)
+        _reproduce_study(experiment, partial(deviations, study), _deviations_table, out, console)
+    else:
+        tuning = quick_learners(LearnersConfig()) if is_quick else LearnersConfig()
+        shifted = tuning.first_seed + first_seed
+        tuning = replace(tuning, first_seed=shifted, seeds=seeds or tuning.seeds, tasks=tasks or tuning.tasks)
+        _reproduce_study(experiment, partial(learners, tuning), _learners_table, out, console)
 
 
 def _reproduce_figure1(
@@ -78,11 +85,17 @@ def _reproduce_figure1(
     console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; the picture is {folder / 'figure.png'}.")
 
 
-def _reproduce_deviations(config: DeviationsConfig, out: Path | None, console: Console) -> None:
-    folder = claim(out, "deviations")
-    results = deviations(config, [ProgressBar(), EventLog(folder / "logs")])
+def _reproduce_study(
+    name: str,
+    study: Callable[[Sequence[Observer]], dict[str, Any]],
+    table: Callable[[dict[str, Any]], Table],
+    out: Path | None,
+    console: Console,
+) -> None:
+    folder = claim(out, name)
+    results = study([ProgressBar(), EventLog(folder / "logs")])
     (folder / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    console.print(_deviations_table(results))
+    console.print(table(results))
     console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold].")
 
 
@@ -92,4 +105,12 @@ def _deviations_table(results: dict[str, Any]) -> Table:
         good = f"{row['at_least_195']} of {len(row['zero_shot'])}"
         numbers = (f"{row['median']:.0f}", f"{row['zero_shot'][0]:.0f}", good, f"{row['value_spread_median']:.2f}")
         table.add_row(name, row["what"], *numbers)
+    return table
+
+
+def _learners_table(results: dict[str, Any]) -> Table:
+    table = Table("settings", *ARMS, "prior: lower quartile at end", title="Mean return over all evaluations")
+    for name, row in results["variants"].items():
+        means = (f"{row['arms'][arm]['mean_over_evaluations']:.0f}" for arm in ARMS)
+        table.add_row(name, *means, f"{row['arms']['prior']['q1'][-1]:.0f}")
     return table

@@ -48,6 +48,7 @@ def meta_train_priors(
     seeds: int,
     observers: Sequence[Observer] = (),
     title: str = "meta-training",
+    allow_divergence: bool = False,
 ) -> Priors:
     """Algorithm 1, one prior per seed, all in one program."""
     outcome = run(
@@ -57,6 +58,7 @@ def meta_train_priors(
         every=config.snapshot_every,
         title=title,
         observers=observers,
+        allow_divergence=allow_divergence,
     )
     snapshots, returns = outcome.reports["prior"], outcome.reports["return"]
     chosen = outcome.updates[[best_snapshot(row, config) for row in returns]]

@@ -1,0 +1,1 @@
+"""Timings, never asserted: each module is one command, prints a table and writes JSON."""

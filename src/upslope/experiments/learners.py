@@ -1,0 +1,110 @@
+"""What the settings of DQN and DDPG are worth to each arm, on tuning tasks: the record of how they were chosen."""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from upslope.agents.ddpg import DDPGConfig
+from upslope.agents.dqn import DQNConfig
+from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.priors import mean_levels, meta_train_priors
+from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
+from upslope.meta_training import MetaTrainingConfig
+from upslope.run.compiling import compile_clock
+from upslope.run.machine import hardware, versions
+from upslope.run.observers import Observer
+from upslope.tasks import cartpoles
+
+ARMS = ("unshaped", "constant", "prior")
+
+DQN_VARIANTS: dict[str, DQNConfig] = {
+    "as set": DQNConfig(),
+    "squared TD errors": DQNConfig(huber_threshold=math.inf),
+    "step size 2e-3, not decayed": DQNConfig(learning_rate=2e-3, decay_updates=0),
+    "target rate 0.03": DQNConfig(target_rate=0.03),
+    "4 steps per update": DQNConfig(steps_per_update=4),
+}
+
+DDPG_VARIANTS: dict[str, DDPGConfig] = {
+    "as set": DDPGConfig(),
+    "squared TD errors": DDPGConfig(huber_threshold=math.inf),
+    "target rate 0.01": DDPGConfig(target_rate=0.01),
+    "target rate 0.01, squared": DDPGConfig(target_rate=0.01, huber_threshold=math.inf),
+    "noise 0.15": DDPGConfig(noise=0.15),
+    "no saturation penalty": DDPGConfig(saturation_penalty=0.0),
+}
+
+
+@dataclass(frozen=True)
+class LearnersConfig:
+    """How the settings are compared.
+
+    Attributes:
+        seeds: priors, and runs per task; other seeds than any figure's.
+        first_seed: seeds are first_seed, first_seed + 1, …
+        tasks: tuning tasks.
+        dqn_updates: of each DQN.
+        ddpg_updates: of each DDPG.
+        every: updates between evaluations.
+        meta_training: of the priors.
+    """
+
+    seeds: int = 2
+    first_seed: int = 10_000
+    tasks: int = 20
+    dqn_updates: int = 1000
+    ddpg_updates: int = 3000
+    every: int = 100
+    meta_training: MetaTrainingConfig = MetaTrainingConfig()
+
+
+def quick_learners(config: LearnersConfig) -> LearnersConfig:
+    """Few tasks and updates: shows that all works, says nothing."""
+    return replace(config, seeds=1, tasks=4, dqn_updates=100, ddpg_updates=100)
+
+
+def learners(config: LearnersConfig, observers: Sequence[Observer] = ()) -> dict[str, Any]:
+    """Runs every setting of both learners with every arm, and returns the content of its results.json."""
+    began = time.perf_counter()
+    family = cartpoles()
+    rows: dict[str, dict[str, Any]] = {}
+    with compile_clock() as clock:
+        tasks = family.sample_many(key_for(config.first_seed, Purpose.TUNING_TASKS), config.tasks)
+        priors = meta_train_priors(family, config.meta_training, config.first_seed, config.seeds, observers).final
+        levels = mean_levels(family, priors, key_for(config.first_seed, Purpose.LEVEL))
+        arms = shaping_arms(family, priors, levels, priors, config.tasks)
+        chosen = {name: arms[name] for name in ARMS}
+        for learner, actions, updates, variants in (
+            ("DQN", family, config.dqn_updates, DQN_VARIANTS),
+            ("DDPG", cartpoles(continuous=True), config.ddpg_updates, DDPG_VARIANTS),
+        ):
+            for name, settings in variants.items():
+                panel = shaping_panel(
+                    learner,
+                    actions,
+                    tasks,
+                    chosen,
+                    settings,
+                    config.first_seed,
+                    updates=updates,
+                    every=config.every,
+                    observers=observers,
+                )
+                summaries = {arm: curves.summary for arm, curves in panel.arms.items()}
+                rows[f"{learner}, {name}"] = {"arms": summaries, "settings": _plain(asdict(settings))}
+    return {
+        "figure": "learners",
+        "variants": rows,
+        "seconds_compiling": clock.seconds,
+        "seconds_running": time.perf_counter() - began - clock.seconds,
+        "versions": versions(),
+        "hardware": hardware(),
+        "configuration": asdict(config),
+    }
+
+
+def _plain(settings: dict[str, Any]) -> dict[str, Any]:
+    """Infinity is no JSON: a threshold that never counts is null."""
+    return {name: None if value == math.inf else value for name, value in settings.items()}
