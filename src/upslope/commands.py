@@ -39,7 +39,7 @@ class Reproduce:
     """Reproduce a figure of the paper: the main job."""
 
     figure: Positional[str]
-    """Which figure: fig1; deviations: what each difference from the paper is worth; learners: what the learners' settings are worth."""
+    """fig1; deviations (what each difference from the paper is worth); or learners (what their settings are worth)."""
     out: Path | None = None
     """Folder for the results; it must be empty. A new one under runs/ by default."""
     quick: bool = False

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from upslope.agents.ddpg import DDPGConfig
@@ -57,7 +57,7 @@ class LearnersConfig:
     dqn_updates: int = 1000
     ddpg_updates: int = 3000
     every: int = 100
-    meta_training: MetaTrainingConfig = MetaTrainingConfig()
+    meta_training: MetaTrainingConfig = field(default_factory=MetaTrainingConfig)
 
 
 def quick_learners(config: LearnersConfig) -> LearnersConfig:
