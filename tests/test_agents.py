@@ -26,9 +26,10 @@ DQN_CONFIG = DQNConfig(
 )  # fmt: skip
 
 
-def train(learners, updates):
+def train(learners, updates, every=None):
     """Runs learners stacked from a list, each from its own key."""
-    return run(stack(learners), jax.random.split(jax.random.key(0), len(learners)), updates=updates, every=updates)
+    keys = jax.random.split(jax.random.key(0), len(learners))
+    return run(stack(learners), keys, updates=updates, every=every or updates)
 
 
 def at_every_place(networks, function=lambda network, obs: network(obs)):
@@ -48,7 +49,7 @@ class TestDQN:
     @staticmethod
     def outcome():
         learners = [DQN(discrete_family(), task, None, DQN_CONFIG) for task, _, _ in probes.DISCRETE.values()]
-        return train(learners, DQN_UPDATES)
+        return train(learners, DQN_UPDATES, every=5)
 
     @pytest.mark.parametrize("name", probes.DISCRETE)
     def test_it_learns_q(self, outcome, name):
@@ -59,6 +60,18 @@ class TestDQN:
     def test_it_reports_the_raw_greedy_return(self, outcome, name):
         index = list(probes.DISCRETE).index(name)
         assert outcome.reports["return"][index, -1] == probes.DISCRETE[name][2]
+
+    def test_a_learner_alone_begins_as_it_does_among_others(self, outcome):
+        keys = jax.random.split(jax.random.key(0), len(probes.DISCRETE))
+        for index in (0, 5):
+            task = list(probes.DISCRETE.values())[index][0]
+            learner = broadcast(DQN(discrete_family(), task, None, DQN_CONFIG), (1,))
+            alone = run(learner, keys[index : index + 1], updates=10, every=5)
+            for name, values in alone.metrics.items():
+                np.testing.assert_allclose(outcome.metrics[name][index, :3], values[0], rtol=1e-3, atol=1e-5)
+
+    def test_equal_tasks_with_different_keys_are_learned_differently(self, outcome):
+        assert len(set(outcome.metrics["td_loss"][:, 1].tolist())) == len(probes.DISCRETE)
 
 
 SHAPED = {

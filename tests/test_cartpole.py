@@ -32,10 +32,11 @@ def compare_with_gymnasium(twins, params, tolerance):
     """Random actions from random starts: the same states and the same last step."""
     rng = np.random.default_rng(0)
     starts, actions = rng.uniform(-0.05, 0.05, (COUNT, 4)), rng.integers(2, size=(COUNT, STEPS))
-    ours, rewards, terminated, truncated = our_trajectories(params, jnp.asarray(starts), jnp.asarray(actions))
+    told = our_trajectories(params, jnp.asarray(starts), jnp.asarray(actions))
+    ours, rewards, terminated, truncated = map(np.asarray, told)
     assert np.all(rewards == 1.0)
     for index, twin in enumerate(twins):
-        theirs = gymnasium_trajectory(twin, np.asarray(jnp.asarray(starts[index])), actions[index])
+        theirs = gymnasium_trajectory(twin, starts[index], actions[index])
         last = len(theirs) - 1
         np.testing.assert_allclose(ours[index, : last + 1], theirs, rtol=0, atol=tolerance)
         assert np.flatnonzero(terminated[index])[0] == last, "the same step ends the episode"

@@ -6,10 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from support.comparing import assert_trees_close, assert_trees_identical
-from support.probes import choices, discrete_family, two_steps
+from support.comparing import assert_trees_identical
 from support.toys import Memory, walks
-from upslope.agents.dqn import DQN, DQNConfig
 from upslope.errors import UpslopeError
 from upslope.potentials import stack
 from upslope.run.compiling import CompileClock
@@ -20,10 +18,6 @@ DRIFTS = [0.0, 1.0, 2.0]
 
 def keys(count, seed=0):
     return jax.random.split(jax.random.key(seed), count)
-
-
-def at(tree, *index):
-    return jax.tree.map(lambda leaf: leaf[index], tree)
 
 
 def walk(drifts=DRIFTS, *, updates=7, every=3, seed=0, **settings):
@@ -89,16 +83,6 @@ class TestBatching:
         for index, single in enumerate(singles):
             np.testing.assert_allclose(odd.reports["return"][index], single.reports["return"][0], rtol=1e-5)
         assert even.reports["return"].shape[0] == 4
-
-    def test_agents_side_by_side_equal_agents_alone(self):
-        config = DQNConfig(hidden=(8,), batch_size=8, warmup_steps=8, replay_capacity=64)
-        agents = [DQN(discrete_family(), task, None, config) for task in (choices(), two_steps(), choices())]
-        together = run(stack(agents), keys(3), updates=4, every=2)
-        alone = run(stack(agents[1:2]), keys(3)[1:2], updates=4, every=2)
-        assert_trees_close(at(together.states.network, 1), at(alone.states.network, 0))
-        np.testing.assert_allclose(together.metrics["td_loss"][1], alone.metrics["td_loss"][0], rtol=1e-4)
-        first, _, third = together.states.network.head.bias
-        assert not np.array_equal(first, third), "equal agents with different keys must not be copies"
 
 
 class TestDeterminism:

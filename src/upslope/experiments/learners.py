@@ -74,7 +74,7 @@ def learners(config: LearnersConfig, observers: Sequence[Observer] = ()) -> dict
         tasks = family.sample_many(key_for(config.first_seed, Purpose.TUNING_TASKS), config.tasks)
         priors = meta_train_priors(family, config.meta_training, config.first_seed, config.seeds, observers).final
         levels = mean_levels(family, priors, key_for(config.first_seed, Purpose.LEVEL))
-        arms = shaping_arms(family, priors, levels, priors, config.tasks)
+        arms = shaping_arms(family, priors, levels, None, config.tasks)
         chosen = {name: arms[name] for name in ARMS}
         for learner, actions, updates, variants in (
             ("DQN", family, config.dqn_updates, DQN_VARIANTS),

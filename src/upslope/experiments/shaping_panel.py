@@ -37,7 +37,7 @@ class ShapingArm(NamedTuple):
 
 
 def shaping_arms(
-    family: AbstractFamily, priors: DuelingQ, levels: jax.Array, oracles: DuelingQ, tasks: int
+    family: AbstractFamily, priors: DuelingQ, levels: jax.Array, oracles: DuelingQ | None, tasks: int
 ) -> dict[str, ShapingArm]:
     """The arms of every shaping comparison.
 
@@ -45,7 +45,7 @@ def shaping_arms(
         family: of the tasks, for its γ.
         priors: ``[seeds, ...]``.
         levels: each prior's mean potential ``[seeds]``.
-        oracles: ``[tasks, ...]``.
+        oracles: ``[tasks, ...]``; None leaves that arm out.
         tasks: how many.
     """
     seeds = levels.shape[0]
@@ -61,15 +61,17 @@ def shaping_arms(
 
         return jax.tree.map(spread, networks)
 
-    own, mean, oracle, none = fill(priors, 0), fill(priors, 2), fill(oracles, 1), jnp.zeros(seeds)
-    return {
+    own, mean, none = fill(priors, 0), fill(priors, 2), jnp.zeros(seeds)
+    arms = {
         "unshaped": ShapingArm(own, 0.0, none),
         "constant": ShapingArm(own, 0.0, levels),
         "prior": ShapingArm(own, 1.0, none),
         "prior_ensemble": ShapingArm(mean, 1.0, none),
         "prior_unzeroed": ShapingArm(own, 1.0, none, terminal_discount=family.gamma),
-        "oracle": ShapingArm(oracle, 1.0, none),
     }
+    if oracles is not None:
+        arms["oracle"] = ShapingArm(fill(oracles, 1), 1.0, none)
+    return arms
 
 
 def shaping_panel(
