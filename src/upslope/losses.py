@@ -34,7 +34,8 @@ def huber(error: Scalar, threshold: float) -> Scalar:
     Shaping by Φ pays −Φ(s) at a failure: an outlier that the squared TD error of a vanilla learner overreacts to.
     """
     size = jnp.abs(error)
-    return jnp.where(size <= threshold, size**2, threshold * (2 * size - threshold))
+    squared_part = jnp.minimum(size, threshold)
+    return squared_part * (2 * size - squared_part)
 
 
 def dueling_q(value: Scalar, advantage: ActionValues) -> ActionValues:
