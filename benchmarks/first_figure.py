@@ -20,8 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 from upslope.agents.dqn import DQN, DQNConfig
-from upslope.meta_training import MetaTraining, MetaTrainingConfig
+from upslope.meta_training import MetaTraining
 from upslope.potentials import mean_potential, stack
+from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock, set_up_devices
 from upslope.run.loop import broadcast, run
 from upslope.run.machine import hardware, versions

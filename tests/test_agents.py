@@ -13,8 +13,9 @@ from upslope.agents.adaptation_controls import CentredTD, FrozenPotential, OneOf
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.agents.fine_tuning import FineTuning
-from upslope.meta_training import MetaTraining, MetaTrainingConfig
+from upslope.meta_training import MetaTraining
 from upslope.potentials import stack
+from upslope.recipes import MetaTrainingConfig
 from upslope.run.loop import broadcast, run
 from upslope.shaping import not_policy_invariant, potential_based
 

@@ -15,7 +15,7 @@ from upslope.experiments.figure1 import Figure1Config, figure1
 from upslope.experiments.plots import STYLES, draw
 from upslope.experiments.report import findings, print_summary, write_report
 from upslope.experiments.results import FigureResult, write_results
-from upslope.meta_training import MetaTrainingConfig
+from upslope.recipes import MetaTrainingConfig
 
 SHAPING_ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "oracle"]
 SMALL = MetaTrainingConfig(iterations=20, tasks=4, steps_per_task=40, batch_size=16, evaluation_tasks=3)

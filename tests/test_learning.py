@@ -7,7 +7,7 @@ from upslope.experiments.figure1 import Figure1Config, figure1
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import meta_train_priors, zero_shot_returns
 from upslope.experiments.results import FigureResult
-from upslope.meta_training import MetaTrainingConfig, as_printed
+from upslope.recipes import MetaTrainingConfig, as_printed
 from upslope.tasks import cartpoles
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,8 @@ from support.comparing import assert_trees_close, assert_trees_identical
 from support.meta import BATCH, TINY, learner
 from support.probes import discrete_family, observation_dependent
 from upslope.errors import UpslopeError
-from upslope.meta_training import MetaTraining, MetaTrainingConfig, best_snapshot
+from upslope.meta_training import MetaTraining, best_snapshot
+from upslope.recipes import MetaTrainingConfig
 
 
 @pytest.fixture(scope="module")

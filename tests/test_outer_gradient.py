@@ -13,7 +13,8 @@ from support.differences import assert_gradient
 from support.meta import ALPHA, BATCH, TASKS, learner
 from support.probes import discrete_family
 from upslope.maml import adapt
-from upslope.meta_training import MetaTraining, TaskSamples, as_printed
+from upslope.meta_training import MetaTraining, TaskSamples
+from upslope.recipes import as_printed
 
 
 def samples(*, fixed_targets=True) -> TaskSamples:

@@ -2,8 +2,8 @@
 
 from upslope.api import adapt, meta_train, train
 from upslope.errors import UpslopeError
-from upslope.meta_training import MetaTrainingConfig
 from upslope.prior import Prior
+from upslope.recipes import MetaTrainingConfig
 from upslope.tasks import cartpoles
 
 __all__ = ["MetaTrainingConfig", "Prior", "UpslopeError", "adapt", "cartpoles", "meta_train", "train"]

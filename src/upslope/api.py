@@ -13,8 +13,9 @@ from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHea
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.errors import UpslopeError
-from upslope.meta_training import MetaTraining, MetaTrainingConfig, best_snapshot
+from upslope.meta_training import MetaTraining, best_snapshot
 from upslope.prior import Prior, trained_on
+from upslope.recipes import MetaTrainingConfig
 from upslope.run.loop import Outcome, broadcast, run
 from upslope.run.observers import Observer
 from upslope.shaping import Shaping, potential_based

@@ -16,8 +16,8 @@ from upslope.agents.fine_tuning import FineTuning
 from upslope.api import adapt, meta_train, train
 from upslope.errors import UpslopeError
 from upslope.experiments.catalogue import reproduce
-from upslope.meta_training import MetaTrainingConfig, as_printed
 from upslope.prior import Prior
+from upslope.recipes import MetaTrainingConfig, as_printed
 from upslope.run.folder import claim
 from upslope.run.observers import EventLog, Observer, ProgressBar
 from upslope.tasks import FAMILIES, JaxTasks

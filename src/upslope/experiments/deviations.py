@@ -11,9 +11,9 @@ import numpy as np
 
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import Priors, meta_train_priors, zero_shot_returns
-from upslope.meta_training import MetaTrainingConfig, as_printed
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy
+from upslope.recipes import MetaTrainingConfig, as_printed
 from upslope.run.compiling import compile_clock
 from upslope.run.machine import hardware, versions
 from upslope.run.observers import Observer

@@ -16,7 +16,7 @@ from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import describe_priors, mean_levels, meta_train_priors, oracles, zero_shot_returns
 from upslope.experiments.results import FigureResult, Panel
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
-from upslope.meta_training import MetaTrainingConfig
+from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
 from upslope.run.observers import Observer
 from upslope.tasks import cartpoles

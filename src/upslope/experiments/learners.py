@@ -11,7 +11,7 @@ from upslope.agents.dqn import DQNConfig
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import mean_levels, meta_train_priors
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
-from upslope.meta_training import MetaTrainingConfig
+from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
 from upslope.run.machine import hardware, versions
 from upslope.run.observers import Observer

@@ -1,5 +1,6 @@
 """The pictures of a figure."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -49,7 +50,14 @@ def _figure(result: FigureResult) -> Figure:
             axis.axis("off")
         if count > 1:
             axes[1, 1].axis("on")
-            draw_starts(axes[1, 1], result.panels["left"])
+            draw_starts(axes[1, 1], result.panels["left"], _gain)
+            axes[1, 1].set(
+                title="Adaptation by the age of the prior", ylabel="mean return over updates − return before"
+            )
+        if count > 2:
+            axes[1, 2].axis("on")
+            draw_starts(axes[1, 2], result.panels["left"], _late_lower_quartile)
+            axes[1, 2].set(title="Steadiness by the age of the prior", ylabel="lower quartile of the last five updates")
     if result.quick:
         figure.suptitle("Quick form: too few seeds, tasks and updates to say anything about the paper", color="#b2182b")
     return figure
@@ -76,21 +84,20 @@ def draw_training(axis: Axes, result: FigureResult) -> None:
     axis.legend(frameon=False, fontsize=7, loc="lower right")
 
 
-def draw_starts(axis: Axes, panel: Panel) -> None:
-    """What adaptation gains over the prior's own return, against how long the prior was trained."""
+def draw_starts(axis: Axes, panel: Panel, measure: Callable[[Arm], float]) -> None:
+    """A measure of every arm against how long the prior that it started from was trained."""
     stops = [int(stop) for stop in panel.variants]
     for name in panel.arms:
         label, colour, line = STYLES[name]
-        gains = [_gain(arms[name]) for arms in panel.variants.values()]
-        axis.plot(stops, gains, line, color=colour, marker="o", markersize=3, label=label, linewidth=1.4)
-    axis.axhline(0.0, color="black", linewidth=0.6)
-    axis.set(
-        title="Adaptation by the age of the prior",
-        xlabel="Algorithm 1 stopped at iteration",
-        ylabel="mean return over updates − return before",
-    )
+        heights = [measure(arms[name]) for arms in panel.variants.values()]
+        axis.plot(stops, heights, line, color=colour, marker="o", markersize=3, label=label, linewidth=1.4)
+    axis.set(xlabel="Algorithm 1 stopped at iteration")
     axis.legend(frameon=False, fontsize=7)
 
 
 def _gain(arm: Arm) -> float:
     return float(np.mean(arm.returns[..., 1:]) - np.mean(arm.returns[..., 0]))
+
+
+def _late_lower_quartile(arm: Arm) -> float:
+    return float(np.mean(arm.summary["q1"][-5:]))

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.experiments.keys import Purpose, key_for, keys_for
-from upslope.meta_training import MetaTraining, MetaTrainingConfig, best_snapshot
+from upslope.meta_training import MetaTraining, best_snapshot
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
+from upslope.recipes import MetaTrainingConfig
 from upslope.run.loop import Outcome, broadcast, run
 from upslope.run.observers import Observer
 from upslope.tasks.jax_tasks import JaxTasks

@@ -1,0 +1,96 @@
+"""Algorithm 1's settings: the recipe that works, which is the default, and the paper to the letter."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from upslope.errors import UpslopeError
+from upslope.networks import Activation
+
+
+@dataclass(frozen=True)
+class MetaTrainingConfig:
+    """Settings of Algorithm 1. Each difference from the print is an option here, told in docs/deviations.md.
+
+    Attributes:
+        iterations: meta-iterations.
+        tasks: tasks sampled in each iteration.
+        steps_per_task: environment steps in each task's fresh replay.
+        batch_size: samples per task behind each φ_i; the outer loss uses the same ones.
+        hidden: widths of the hidden layers.
+        activation: of the hidden layers; the paper names none.
+        inner_step_size: α.
+        inner_steps: N.
+        outer_step_size: β at the start.
+        outer_step_size_end: β at the end; it falls linearly.
+        outer_optimiser: plain gradient descent, as printed, or Adam.
+        outer_updates: outer steps per iteration, each on a fresh draw from the same replays.
+        outer_target: whether gradients flow through Q_φ as the target of Eq. 7: "kept" (the literal reading, which
+            collapses) or "stopped".
+        first_order: with a kept target, whether second derivatives through φ(θ) are left out.
+        td_gradient: "semi" (TD targets are constants) or "full" (Eq. 5 differentiated on both sides).
+        target_decay: decay per iteration of the averaged network in the inner TD target; None for no such network.
+        epsilon: random-action share of the first and of the last task of a batch; those between are spaced evenly.
+        averaging: decay per iteration of the moving average of θ that is the prior; 0 takes θ itself, as printed.
+        select_from: the prior is the best snapshot after this share of training, by its greedy return on extra
+            training tasks; 1 takes the last, as printed.
+        snapshot_every: iterations between snapshots.
+        evaluation_tasks: extra training tasks, never test tasks, on which snapshots are tried.
+        evaluation_episodes: greedy episodes on each of them.
+    """
+
+    iterations: int = 500
+    tasks: int = 10
+    steps_per_task: int = 200
+    batch_size: int = 64
+    hidden: tuple[int, ...] = (32, 32)
+    activation: Activation = "tanh"
+    inner_step_size: float = 0.01
+    inner_steps: int = 1
+    outer_step_size: float = 0.005
+    outer_step_size_end: float = 0.0005
+    outer_optimiser: Literal["adam", "sgd"] = "adam"
+    outer_updates: int = 4
+    outer_target: Literal["stopped", "kept"] = "stopped"
+    first_order: bool = False
+    td_gradient: Literal["semi", "full"] = "semi"
+    target_decay: float | None = 0.9
+    epsilon: tuple[float, float] = (0.05, 0.95)
+    averaging: float = 0.97
+    select_from: float = 0.5
+    snapshot_every: int = 10
+    evaluation_tasks: int = 20
+    evaluation_episodes: int = 3
+
+    def __post_init__(self) -> None:
+        for name in (
+            "iterations",
+            "tasks",
+            "steps_per_task",
+            "batch_size",
+            "inner_steps",
+            "outer_updates",
+            "snapshot_every",
+        ):
+            if getattr(self, name) < 1:
+                raise UpslopeError(f"{name} is {getattr(self, name)}, but it counts something: give at least 1.")
+
+
+def as_printed() -> MetaTrainingConfig:
+    """Algorithm 1 to the letter; it collapses (docs/deviations.md).
+
+    N = 1, one plain gradient step per iteration on the inner step's own samples, the graph kept on both sides of Eq. 7,
+    no target network, one ε for all tasks, the last θ as the prior. β is the best of three that were tried.
+    """
+    return MetaTrainingConfig(
+        activation="relu",
+        outer_step_size=0.1,
+        outer_step_size_end=0.1,
+        outer_optimiser="sgd",
+        outer_updates=1,
+        outer_target="kept",
+        td_gradient="full",
+        target_decay=None,
+        epsilon=(0.1, 0.1),
+        averaging=0.0,
+        select_from=1.0,
+    )
