@@ -53,8 +53,12 @@ class TestDQN:
     def test_one_step_moves_the_target_network_by_its_rate(self):
         config = DQNConfig(hidden=(8,), batch_size=8, warmup_steps=8, replay_capacity=64, target_rate=0.25)
         agent = DQN(discrete_family(), choices(), None, config)
-        before = agent.init(jax.random.key(0))
-        after, metrics = jax.jit(lambda state: agent.step(state))(before)
+
+        def one_step(key):
+            state = agent.init(key)
+            return state, *agent.step(state)
+
+        before, after, metrics = jax.jit(one_step)(jax.random.key(0))
         expected = jax.tree.map(lambda new, old: 0.25 * new + 0.75 * old, after.network, before.target)
         assert_trees_close(after.target, expected)
         assert largest(jax.tree.map(jnp.subtract, after.network, before.network)) > 1e-4

@@ -67,7 +67,7 @@ def test_adapt_saves_a_posterior(prior_file: Path, tmp_path: Path, monkeypatch: 
         (["meta-train", "cartpole", "--inner-steps", "0"], ["inner_steps is 0"]),
         (["train", "sarsa"], ["'sarsa'", "dqn"]),
         (["train", "dqn", "--pole", "-2"], ["-2.0 m"]),
-        (["train", "dqn", "--updates", "0"], ["0 updates"]),
+        (["train", "dqn", "--updates", "0"], ["0 updates", "--updates"]),
         (["train", "dqn", "--prior", "nowhere.safetensors"], ["nowhere.safetensors"]),
         (["adapt", "nowhere.safetensors"], ["nowhere.safetensors"]),
     ],

@@ -147,6 +147,7 @@ class Train:
         family = self.poles.family(self.family, continuous=AGENTS[self.agent])
         prior = None if self.prior is None else Prior.load(self.prior)
         task = _task(family, self.pole, self.seed)
+        _check_counts(updates=self.updates, every=self.every)
         folder = claim(self.out, self.agent)
         outcome = train(
             family,
@@ -194,6 +195,7 @@ class Adapt:
         family = self.poles.family(self.family)
         prior.check(family, acting=True)
         task = _task(family, self.pole, self.seed)
+        _check_counts(updates=self.updates)
         folder = claim(self.out, "adapted")
         posterior, returns = adapt(
             prior,
@@ -212,6 +214,13 @@ class Adapt:
 
 def _observers(folder: Path) -> list[Observer]:
     return [ProgressBar(), EventLog(folder / "logs")]
+
+
+def _check_counts(**counts: int) -> None:
+    """Before a folder is claimed."""
+    for name, count in counts.items():
+        if count < 1:
+            raise UpslopeError(f"{count} {name} can't be run: give --{name} at least 1.")
 
 
 def _task(family: JaxTasks, pole: float | None, seed: int) -> Task:
