@@ -77,7 +77,7 @@ class AdaptationConfig:
         evaluation_episodes: greedy episodes behind each reported return.
     """
 
-    batch_size: int = 256
+    batch_size: int = 128
     replay_capacity: int = 10_000
     steps_per_update: int = 200
     epsilon: float = 0.1

@@ -42,7 +42,7 @@ class AdaptationPanel:
         step_sizes: α to choose from, for each arm and stop on its own, on tuning tasks that are no test tasks.
     """
 
-    stops: tuple[int, ...] = (75, 100, 125, 150, 200, 500)
+    stops: tuple[int, ...] = (75, 100, 125, 150, 500)
     updates: int = 20
     step_sizes: tuple[float, ...] = (3e-4, 1e-3, 2e-3, 4e-3, 8e-3)
 

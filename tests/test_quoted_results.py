@@ -1,0 +1,46 @@
+"""Every number that README.md quotes is the number in docs/data."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+DEVIATIONS = (ROOT / "docs" / "deviations.md").read_text(encoding="utf-8")
+FIGURE = json.loads((ROOT / "docs" / "data" / "fig1" / "results.json").read_text(encoding="utf-8"))
+ROWS = re.findall(r"^\| `(\w+)/(\w+)` \| ([\d.]+) \| (\w+) \| ([\d.]+) \|", README, re.MULTILINE)
+
+
+def test_the_readme_quotes_all_three_panels() -> None:
+    assert {row[0] for row in ROWS} == {"left", "middle", "right"}
+
+
+@pytest.mark.parametrize(("panel", "arm", "mean", "first", "quartile"), ROWS)
+def test_readme_row(panel: str, arm: str, mean: str, first: str, quartile: str) -> None:
+    measured = FIGURE["panels"][panel]["arms"][arm]
+    assert mean == f"{measured['mean_over_evaluations']:.0f}"
+    assert first == ("never" if measured["first_median_200"] is None else str(measured["first_median_200"]))
+    assert quartile == f"{measured['q1'][-1]:.0f}"
+
+
+def test_the_figure_is_the_full_one_at_the_papers_seeds() -> None:
+    assert FIGURE["quick"] is False
+    assert [row["seed"] for row in FIGURE["priors"]] == [0, 1, 2, 3, 4]
+    assert FIGURE["configuration"]["tasks"] == 40
+
+
+def test_deviations_table() -> None:
+    variants = json.loads((ROOT / "docs" / "data" / "deviations" / "results.json").read_text())["variants"]
+    for number, row in variants.items():
+        good = f"{row['at_least_195']} of {len(row['zero_shot'])}"
+        expected = f"| {row['median']:.0f} | {row['zero_shot'][0]:.0f} | {good} | {row['value_spread_median']:.2f} |"
+        assert re.search(rf"^\| {number} \| .*{re.escape(expected)}$", DEVIATIONS, re.MULTILINE), number
+
+
+def test_learners_table() -> None:
+    variants = json.loads((ROOT / "docs" / "data" / "learners" / "results.json").read_text())["variants"]
+    for name, row in variants.items():
+        means = " | ".join(f"{row['arms'][arm]['mean_over_evaluations']:.0f}" for arm in ("unshaped", "constant", "prior"))
+        assert f"| {name} | {means} | {row['arms']['prior']['q1'][-1]:.0f} |" in DEVIATIONS
