@@ -10,7 +10,6 @@ from jaxtyping import install_import_hook
 
 # Two devices on any machine, so that spreading and padding are always tried.
 jax.config.update("jax_num_cpu_devices", 2)
-jax.config.update("jax_disable_most_optimizations", True)
 install_import_hook("upslope", "beartype.beartype")
 
 settings.register_profile("upslope", deadline=None, derandomize=True, max_examples=40)

@@ -42,5 +42,7 @@ def test_deviations_table() -> None:
 def test_learners_table() -> None:
     variants = json.loads((ROOT / "docs" / "data" / "learners" / "results.json").read_text())["variants"]
     for name, row in variants.items():
-        means = " | ".join(f"{row['arms'][arm]['mean_over_evaluations']:.0f}" for arm in ("unshaped", "constant", "prior"))
+        means = " | ".join(
+            f"{row['arms'][arm]['mean_over_evaluations']:.0f}" for arm in ("unshaped", "constant", "prior")
+        )
         assert f"| {name} | {means} | {row['arms']['prior']['q1'][-1]:.0f} |" in DEVIATIONS

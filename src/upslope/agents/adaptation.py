@@ -20,7 +20,6 @@ from upslope.types import Key, Metrics, Scalar, Task, Transition
 
 
 @runtime_checkable
-@runtime_checkable
 class UpdateRule(Protocol):
     """How one arm turns a batch into new parameters: Algorithm 2, MAML, and the controls between them."""
 

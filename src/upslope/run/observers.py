@@ -12,7 +12,6 @@ from tensorboardX import SummaryWriter
 
 
 @runtime_checkable
-@runtime_checkable
 class Observer(Protocol):
     """Is told of the start of a run, of every report and of the end."""
 
