@@ -117,3 +117,23 @@ def test_nothing_is_overwritten(
         assert stop.value.code == 2
         assert "already holds something" in capsys.readouterr().err
     assert prior_file.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        (["--averaging", "1.5"], "averaging is 1.5"),
+        (["--select-from", "-0.1"], "select_from is -0.1"),
+        (["--epsilon", "0.5", "2.0"], "epsilon is 2.0"),
+        (["--evaluation-tasks", "0"], "evaluation_tasks is 0"),
+    ],
+)
+def test_settings_out_of_range(
+    setting: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, "meta-train", "cartpole", *setting)
+    assert stop.value.code == 2
+    assert words in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from upslope.errors import UpslopeError
 from upslope.replay import Replay
 
 CAPACITY = 4
@@ -96,3 +97,8 @@ def test_a_replay_of_given_records_is_full_of_exactly_them():
     replay = Replay.of(records([7, 8, 9]))
     assert (replay.capacity, int(replay.added)) == (3, 3)
     assert set(np.asarray(drawn(replay)["id"]).tolist()) == {7, 8, 9}
+
+
+def test_more_records_than_fit_are_refused():
+    with pytest.raises(UpslopeError, match="5 records at once do not fit into a replay of 4"):
+        Replay.empty(jnp.zeros(()), 4).add(jnp.arange(5.0))

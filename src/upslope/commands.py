@@ -146,6 +146,8 @@ class Train:
             raise UpslopeError(f"There is no agent {self.agent!r}: choose one of {', '.join(AGENTS)}.")
         family = self.poles.family(self.family, continuous=AGENTS[self.agent])
         prior = None if self.prior is None else Prior.load(self.prior)
+        if prior is not None:
+            prior.check(family)
         task = _task(family, self.pole, self.seed)
         _check_counts(updates=self.updates, every=self.every)
         folder = claim(self.out, self.agent)

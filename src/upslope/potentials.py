@@ -25,8 +25,8 @@ class MeanPotential(eqx.Module):
     """
 
     networks: DuelingQ
-    scale: Float[Array, ""]
-    bias: Float[Array, ""]
+    scale: Float[Array, "*batch"]
+    bias: Float[Array, "*batch"]
 
     def __call__(self, obs: Observation) -> Scalar:
         values = jax.vmap(lambda network: network.value(obs))(self.networks)

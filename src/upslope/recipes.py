@@ -62,17 +62,30 @@ class MetaTrainingConfig:
     evaluation_episodes: int = 3
 
     def __post_init__(self) -> None:
-        for name in (
-            "iterations",
-            "tasks",
-            "steps_per_task",
-            "batch_size",
-            "inner_steps",
-            "outer_updates",
-            "snapshot_every",
-        ):
+        for name in _COUNTS:
             if getattr(self, name) < 1:
                 raise UpslopeError(f"{name} is {getattr(self, name)}, but it counts something: give at least 1.")
+        shares = {
+            "averaging": self.averaging,
+            "select_from": self.select_from,
+            "target_decay": self.target_decay or 0.0,
+        }
+        for name, share in (*shares.items(), *(("epsilon", share) for share in self.epsilon)):
+            if not 0 <= share <= 1:
+                raise UpslopeError(f"{name} is {share}, but it is a share: give a number from 0 to 1.")
+
+
+_COUNTS = (
+    "iterations",
+    "tasks",
+    "steps_per_task",
+    "batch_size",
+    "inner_steps",
+    "outer_updates",
+    "snapshot_every",
+    "evaluation_tasks",
+    "evaluation_episodes",
+)
 
 
 def as_printed() -> MetaTrainingConfig:

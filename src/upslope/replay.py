@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from upslope.errors import UpslopeError
 from upslope.types import Key
 
 
@@ -37,8 +38,17 @@ class Replay(eqx.Module):
         return _length(self.data)
 
     def add(self, records: Any) -> "Replay":
-        """Adds ``[n, ...]`` records, n at most the capacity; the oldest make room."""
+        """Adds ``[n, ...]`` records; the oldest make room.
+
+        Raises:
+            UpslopeError: more records than the capacity.
+        """
         count = _length(records)
+        if count > self.capacity:
+            raise UpslopeError(
+                f"{count} records at once do not fit into a replay of {self.capacity}: "
+                "raise replay_capacity, or take fewer steps between updates."
+            )
         where = (self.added + jnp.arange(count)) % self.capacity
         data = jax.tree.map(lambda ring, new: ring.at[where].set(new), self.data, records)
         return Replay(data, self.added + count)

@@ -44,7 +44,7 @@ class Shaping(eqx.Module):
     """
 
     potential: Potential
-    terminal_discount: Float[Array, ""] | float = 0.0
+    terminal_discount: Float[Array, "*batch"] | float = 0.0
 
     def rewards(self, batch: Transition) -> Float[Array, "n"]:
         """F of each of the transitions ``[n, ...]``."""

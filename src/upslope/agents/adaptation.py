@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from upslope.agents.experience import Experience, greedy_return
 from upslope.learner import AbstractLearner
@@ -108,7 +109,7 @@ class Adaptation(AbstractLearner):
     family: AbstractFamily
     task: Task
     prior: DuelingQ
-    step_size: Scalar
+    step_size: Float[Array, "*batch"]
     rule: UpdateRule = AdvantageHead()
     config: AdaptationConfig = eqx.field(static=True, default=AdaptationConfig())
 

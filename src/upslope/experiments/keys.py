@@ -5,7 +5,7 @@ from enum import IntEnum
 import jax
 import jax.numpy as jnp
 
-from upslope.types import Key
+from upslope.types import Key, Keys
 
 
 class Purpose(IntEnum):
@@ -28,11 +28,11 @@ def key_for(seed: int, purpose: Purpose) -> Key:
     return jax.random.fold_in(jax.random.key(seed), purpose)
 
 
-def keys_for(first_seed: int, seeds: int, purpose: Purpose) -> Key:
+def keys_for(first_seed: int, seeds: int, purpose: Purpose) -> Keys:
     """The keys ``[seeds]`` of consecutive seeds for one purpose."""
     return jnp.stack([key_for(seed, purpose) for seed in range(first_seed, first_seed + seeds)])
 
 
-def keys_per_task(first_seed: int, seeds: int, tasks: int, purpose: Purpose) -> Key:
+def keys_per_task(first_seed: int, seeds: int, tasks: int, purpose: Purpose) -> Keys:
     """The keys ``[seeds, tasks]`` of every run; the arms of a comparison share them."""
     return jax.vmap(lambda key: jax.random.split(key, tasks))(keys_for(first_seed, seeds, purpose))

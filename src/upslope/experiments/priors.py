@@ -93,7 +93,7 @@ def oracles(
 def _best(outcome: Outcome, config: MetaTrainingConfig) -> DuelingQ:
     """Of every learner its best snapshot ``[learners, ...]``."""
     best = np.asarray([best_snapshot(row, config) for row in outcome.reports["return"]])
-    return jax.tree.map(lambda leaf: leaf[np.arange(len(best)), best], outcome.reports["prior"])
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf[np.arange(len(best)), best]), outcome.reports["prior"])
 
 
 @jax.jit
@@ -119,7 +119,7 @@ def zero_shot_returns(family: JaxTasks, networks: DuelingQ, tasks: Task, key: ja
     return jnp.mean(returns.reshape(-1, count, 5), axis=-1)
 
 
-def describe_priors(returns: np.ndarray, first_seed: int) -> list[dict[str, float]]:
+def describe_priors(returns: np.ndarray, first_seed: int) -> list[dict[str, int | float]]:
     """One row per seed of `zero_shot_returns`: median, mean and lower quartile over the tasks."""
     return [
         {

@@ -84,7 +84,7 @@ class FigureResult:
 
     name: str
     panels: dict[str, Panel]
-    priors: list[dict[str, float]]
+    priors: list[dict[str, int | float]]
     training: dict[str, Any]
     configuration: dict[str, Any]
     quick: bool
