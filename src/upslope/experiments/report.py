@@ -114,7 +114,7 @@ def write_report(result: FigureResult, folder: Path) -> None:
         compiling=f"{result.seconds_compiling:.0f}",
         running=f"{result.seconds_running:.0f}",
         lowest=f"{min(row['zero_shot_mean'] for row in result.priors):.1f}",
-        gain=f"{np.mean([row['zero_shot_mean'] for row in result.priors]):.1f}",
+        average=f"{np.mean([row['zero_shot_mean'] for row in result.priors]):.1f}",
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
 
@@ -145,7 +145,7 @@ policy; the shade lies between the quartiles. An episode ends after 200 steps, s
 </ul>
 <img alt="Figure 1" src="data:image/png;base64,{picture}">
 {sections}
-<footer>Seeds from {first_seed} on. {compiling} s compiling, {running} s running. Zero-shot mean of the priors {gain},
-lowest {lowest}. All numbers are in results.json, all returns in returns.npz.</footer>
+<footer>Seeds from {first_seed} on. {compiling} s compiling, {running} s running. Zero-shot mean of the priors
+{average}, lowest {lowest}. All numbers are in results.json, all returns in returns.npz.</footer>
 </body></html>
 """
