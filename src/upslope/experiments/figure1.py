@@ -75,9 +75,9 @@ def quick(config: Figure1Config) -> Figure1Config:
         config,
         seeds=2,
         tasks=10,
-        dqn_updates=500,
-        ddpg_updates=1000,
-        oracle=replace(config.oracle, iterations=200),
+        dqn_updates=400,
+        ddpg_updates=600,
+        oracle=replace(config.oracle, iterations=100),
         panel=replace(config.panel, stops=(100, 150, 500), updates=10),
     )
 
