@@ -10,11 +10,9 @@ from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from upslope.agents.adaptation import AdvantageHead, UpdateRule
-from upslope.agents.adaptation_controls import CentredTD, FrozenPotential
-from upslope.agents.fine_tuning import FineTuning
 from upslope.api import adapt, meta_train, train
 from upslope.errors import UpslopeError
+from upslope.experiments.adaptation_panel import RULES
 from upslope.experiments.catalogue import reproduce
 from upslope.prior import Prior
 from upslope.recipes import MetaTrainingConfig, as_printed
@@ -24,14 +22,6 @@ from upslope.tasks import FAMILIES, JaxTasks
 from upslope.types import Task
 
 AGENTS = {"dqn": False, "ddpg": True}
-RULES: dict[str, UpdateRule] = {
-    "algorithm2": AdvantageHead(),
-    "algorithm2-raw": AdvantageHead(centred=False),
-    "frozen-potential": FrozenPotential(),
-    "td-centred": CentredTD(),
-    "maml": FineTuning(),
-    "maml-two-steps": FineTuning(steps=2),
-}
 
 
 @dataclass(frozen=True)
@@ -179,7 +169,7 @@ class Adapt:
     pole: float | None = None
     """Length of the pole in metres; drawn from the family by default."""
     rule: str = "algorithm2"
-    """algorithm2, algorithm2-raw, frozen-potential, td-centred, maml or maml-two-steps."""
+    """algorithm2, algorithm2_raw, frozen_potential, td_centred, maml or maml_two_steps."""
     updates: int = 20
     """Updates: pairs of Eqs. 8 and 9."""
     step_size: float = 1e-3
