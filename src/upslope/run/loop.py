@@ -14,6 +14,7 @@ from upslope.learner import AbstractLearner
 from upslope.run import chunks
 from upslope.run.compiling import compile_clock
 from upslope.run.observers import Observer
+from upslope.run.randomness import unrolled
 from upslope.types import Keys
 
 
@@ -77,7 +78,7 @@ def run(
     batch = keys.shape
     count = math.prod(batch)
     learners = jax.tree.map(lambda leaf: _flatten(leaf, batch, count) if np.ndim(leaf) else leaf, learners)
-    learners, keys = chunks.spread((learners, _flatten(keys, batch, count)))
+    learners, keys = chunks.spread((learners, _flatten(unrolled(keys), batch, count)))
     marks = [0, *range(every, updates, every), updates]
     reports, metrics = [], []
     with compile_clock() as clock:
