@@ -54,8 +54,8 @@ def test_training_reports_raw_returns_whatever_the_potential() -> None:
     shaped = train(POLES, TASK, lambda obs: 100.0 * obs[0], updates=4, every=2, config=SMALL)
     np.testing.assert_array_equal(raw.updates, [0, 2, 4])
     assert raw.reports["return"][0, 0] == shaped.reports["return"][0, 0]
-    assert raw.metrics["mean_reward"][0, 1] == pytest.approx(1.0)
-    assert shaped.metrics["mean_reward"][0, 1] != pytest.approx(1.0)
+    assert raw.metrics["shaped_reward"][0, 1] == pytest.approx(1.0)
+    assert shaped.metrics["shaped_reward"][0, 1] != pytest.approx(1.0)
 
 
 def test_a_potential_that_is_not_finite_somewhere_stops_the_run() -> None:

@@ -32,7 +32,7 @@ def test_meta_train_saves_a_prior_with_its_provenance(prior_file: Path) -> None:
     assert prior.trained_on.family == "cartpole"
     assert prior.trained_on.seed == 3
     assert prior.trained_on.settings["iterations"] == 10
-    assert list((prior_file.parent / "logs" / "events").iterdir())
+    assert list((prior_file.parent / "logs" / "meta-training").glob("events*"))
 
 
 def test_train_with_and_without_shaping(
@@ -44,7 +44,7 @@ def test_train_with_and_without_shaping(
     out = " ".join(capsys.readouterr().out.split())
     assert "dqn on a pole of 1.50 m" in out
     assert "ddpg on a pole of 1.50 m, no shaping" in out
-    lines = [json.loads(line) for line in (tmp_path / "a" / "logs" / "metrics.jsonl").read_text().splitlines()]
+    lines = [json.loads(line) for line in (tmp_path / "a" / "logs" / "DQN" / "metrics.jsonl").read_text().splitlines()]
     assert [line["update"] for line in lines] == [0, 5, 10]
 
 

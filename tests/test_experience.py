@@ -22,7 +22,7 @@ def experience(shaping=None, *, task=None, chunks=(6, 6)):
         keys = jax.random.split(key, 1 + len(chunks))
         remembered = Experience.start(keys[0], FAMILY, task, 12, shaping)
         for steps, key in zip(chunks, keys[1:], strict=True):
-            remembered = remembered.extend(key, FAMILY, task, RANDOM, steps, shaping)
+            remembered, _ = remembered.extend(key, FAMILY, task, RANDOM, steps, shaping)
         return remembered
 
     return jax.jit(take)(jax.random.key(0), two_steps() if task is None else task)

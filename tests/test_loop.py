@@ -12,6 +12,7 @@ from upslope.errors import UpslopeError
 from upslope.potentials import stack
 from upslope.run.compiling import CompileClock
 from upslope.run.loop import broadcast, run
+from upslope.run.session import Session
 
 DRIFTS = [0.0, 1.0, 2.0]
 
@@ -115,7 +116,7 @@ class TestCompiling:
 class TestObservers:
     def test_they_are_told_of_everything_in_order(self):
         one, other = Memory(), Memory()
-        outcome = walk(title="a walk", observers=[one, other])
+        outcome = walk(title="a walk", session=Session([one, other]))
         assert one.told[0] == ("begin", "a walk", 7, 3)
         assert [told[:2] for told in one.told[1:-1]] == [("record", mark) for mark in (0, 3, 6, 7)]
         assert one.told[-1] == ("end",)
@@ -127,19 +128,19 @@ class TestObservers:
     def test_they_hear_of_the_end_of_a_run_that_fails(self):
         observer = Memory()
         with pytest.raises(UpslopeError):
-            run(walks(DRIFTS, breaks_at=2), keys(3), updates=7, every=3, observers=[observer])
+            run(walks(DRIFTS, breaks_at=2), keys(3), updates=7, every=3, session=Session([observer]))
         assert observer.told[-1] == ("end",), "or a progress bar stays on the terminal, and files stay open"
 
 
 class TestDivergence:
     def test_a_metric_that_is_not_finite_stops_the_run(self):
         learners = walks(DRIFTS, breaks_at=5)
-        with pytest.raises(UpslopeError, match=r"step of learner 0 is not a finite number by update 6 \(3 of 3"):
+        with pytest.raises(UpslopeError, match=r"step of learner 0 is not a finite number at update 5 \(3 of 3"):
             run(learners, keys(3), updates=7, every=3)
 
     def test_the_learner_at_fault_is_named(self):
         learners = stack([walks(0.0), walks(0.0, breaks_at=1), walks(0.0)])
-        with pytest.raises(UpslopeError, match=r"learner 1 .* by update 3 \(1 of 3"):
+        with pytest.raises(UpslopeError, match=r"learner 1 .* at update 1 \(1 of 3"):
             run(learners, keys(3), updates=7, every=3)
 
     def test_it_goes_on_where_that_is_allowed(self):
@@ -155,6 +156,6 @@ class TestDivergence:
 
 def test_states_given_to_observers_are_plain_numpy():
     observer = Memory()
-    walk(observers=[observer])
+    walk(session=Session([observer]))
     assert all(isinstance(told[2], np.ndarray) for told in observer.told[1:-1])
     assert not any(isinstance(told[2], jnp.ndarray) for told in observer.told[1:-1])

@@ -1,6 +1,5 @@
 """The verbs: meta-train a prior, adapt it to a task, train an agent with or without shaping."""
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -17,7 +16,7 @@ from upslope.meta_training import MetaTraining, best_snapshot
 from upslope.prior import Prior, trained_on
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.loop import Outcome, broadcast, run
-from upslope.run.observers import Observer
+from upslope.run.session import Session
 from upslope.shaping import Shaping, potential_based
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Observation, Potential, Task
@@ -28,7 +27,7 @@ def meta_train(
     *,
     seed: int = 0,
     config: MetaTrainingConfig | None = None,
-    observers: Sequence[Observer] = (),
+    session: Session | None = None,
 ) -> Prior:
     """Algorithm 1: learns a prior over a family of tasks.
 
@@ -43,7 +42,7 @@ def meta_train(
         updates=config.iterations,
         every=config.snapshot_every,
         title="meta-training",
-        observers=observers,
+        session=session,
     )
     returns = outcome.reports["return"][0]
     best = best_snapshot(returns, config)
@@ -62,7 +61,7 @@ def adapt(
     rule: UpdateRule | None = None,
     seed: int = 0,
     config: AdaptationConfig | None = None,
-    observers: Sequence[Observer] = (),
+    session: Session | None = None,
 ) -> tuple[Prior, np.ndarray]:
     """Algorithm 2: adapts a prior to one new task while learning to solve it.
 
@@ -75,7 +74,7 @@ def adapt(
         rule: another arm, such as ``FineTuning()`` for MAML; Algorithm 2 by default.
         seed: of the experience.
         config: sizes of batches and replay.
-        observers: told of the progress.
+        session: who watches, and where checkpoints go.
 
     Returns:
         The task-posterior, and the raw greedy return before the first and after each update ``[updates + 1]``.
@@ -93,7 +92,7 @@ def adapt(
         updates=updates,
         every=1,
         title="adaptation",
-        observers=observers,
+        session=session,
     )
     network = jax.tree.map(lambda leaf: leaf[0], outcome.states.phi)
     return Prior(network, prior.trained_on), outcome.reports["return"][0]
@@ -108,7 +107,7 @@ def train(
     every: int = 100,
     seed: int = 0,
     config: DQNConfig | DDPGConfig | None = None,
-    observers: Sequence[Observer] = (),
+    session: Session | None = None,
 ) -> Outcome:
     """Trains an agent on one task: DQN on discrete actions, DDPG on continuous ones.
 
@@ -121,7 +120,7 @@ def train(
         every: updates between reports of the raw greedy return.
         seed: of the agent and its experience.
         config: of the agent.
-        observers: told of the progress.
+        session: who watches, and where checkpoints go.
 
     Raises:
         UpslopeError: a prior that does not belong to the tasks, or a potential of the wrong shape or not finite.
@@ -133,7 +132,7 @@ def train(
         updates=updates,
         every=every,
         title="DDPG" if family.continuous else "DQN",
-        observers=observers,
+        session=session,
     )
 
 

@@ -6,8 +6,9 @@ from typing import Annotated
 import tyro
 
 from upslope.commands import Adapt, MetaTrain, Reproduce, Train
-from upslope.errors import UpslopeError
+from upslope.errors import InterruptedRunError, UpslopeError
 from upslope.run.compiling import set_up_devices
+from upslope.run.signals import stop_requests
 
 Command = (
     Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
@@ -27,7 +28,11 @@ def main() -> None:
             description="Meta-learned potentials that shape the reward of every new task of a family.",
             config=(tyro.conf.OmitArgPrefixes,),
         )
-        command()
+        with stop_requests():
+            command()
+    except InterruptedRunError as stop:
+        print(f"upslope: {stop}", file=sys.stderr)
+        sys.exit(128 + stop.signal)
     except UpslopeError as error:
         print(f"upslope: {error}", file=sys.stderr)
         sys.exit(2)

@@ -1,8 +1,8 @@
 """What each command of the command line does: typed settings with a verb."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import numpy as np
@@ -16,8 +16,8 @@ from upslope.experiments.adaptation_panel import RULES
 from upslope.experiments.catalogue import reproduce
 from upslope.prior import Prior
 from upslope.recipes import MetaTrainingConfig, as_printed
-from upslope.run.folder import claim
-from upslope.run.observers import EventLog, Observer, ProgressBar
+from upslope.run.folder import claimed
+from upslope.run.session import session_in
 from upslope.tasks import FAMILIES, JaxTasks
 from upslope.types import Task
 
@@ -42,6 +42,8 @@ class Reproduce:
     """Moves to other seeds and other test tasks."""
     panels: tuple[Literal["left", "middle", "right"], ...] = ("left", "middle", "right")
     """Which panels."""
+    resume: bool = False
+    """Go on with the run in --out, which was stopped."""
 
     def __call__(self) -> None:
         reproduce(
@@ -52,6 +54,7 @@ class Reproduce:
             tasks=self.tasks,
             first_seed=self.first_seed,
             panels=self.panels,
+            resume=self.resume,
         )
 
 
@@ -92,17 +95,19 @@ class MetaTrain:
     """Of everything random."""
     printed: bool = False
     """Algorithm 1 to the letter, which collapses; all settings below are ignored then."""
+    resume: bool = False
+    """Go on with the run in --out, which was stopped."""
     poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
     config: Annotated[MetaTrainingConfig, arg(name="")] = field(default_factory=MetaTrainingConfig)
 
     def __call__(self) -> None:
         family = self.poles.family(self.family)
-        folder = claim(self.out, "prior")
-        prior = meta_train(
-            family, seed=self.seed, config=as_printed() if self.printed else self.config, observers=_observers(folder)
-        )
-        path = folder / "prior.safetensors"
-        prior.save(path)
+        config = as_printed() if self.printed else self.config
+        with claimed(self.out, "prior", _settings(self), resume=self.resume) as folder:
+            session = session_in(folder, resume=self.resume)
+            prior = meta_train(family, seed=self.seed, config=config, session=session)
+            path = folder / "prior.safetensors"
+            prior.save(path, overwrite=self.resume)
         settings = prior.trained_on.settings
         table = Table("prior", "from iteration", "return on extra training tasks", title="Algorithm 1")
         table.add_row(str(path), str(settings["iteration"]), f"{settings['return_on_training_tasks']:.1f}")
@@ -129,6 +134,8 @@ class Train:
     """Of everything random."""
     out: Path | None = None
     """Folder for the logs; it must be empty."""
+    resume: bool = False
+    """Go on with the run in --out, which was stopped."""
     poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
 
     def __call__(self) -> None:
@@ -140,16 +147,16 @@ class Train:
             prior.check(family)
         task = _task(family, self.pole, self.seed)
         _check_counts(updates=self.updates, every=self.every)
-        folder = claim(self.out, self.agent)
-        outcome = train(
-            family,
-            task,
-            prior,
-            updates=self.updates,
-            every=self.every,
-            seed=self.seed,
-            observers=_observers(folder),
-        )
+        with claimed(self.out, self.agent, _settings(self), resume=self.resume) as folder:
+            outcome = train(
+                family,
+                task,
+                prior,
+                updates=self.updates,
+                every=self.every,
+                seed=self.seed,
+                session=session_in(folder, resume=self.resume),
+            )
         shaped = "no shaping" if prior is None else f"shaped by {self.prior}"
         _print_returns(
             f"{self.agent} on a pole of {float(task.length):.2f} m, {shaped}",
@@ -178,6 +185,8 @@ class Adapt:
     """Of everything random."""
     out: Path | None = None
     """Folder for the posterior and the logs; it must be empty."""
+    resume: bool = False
+    """Go on with the run in --out, which was stopped."""
     poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
 
     def __call__(self) -> None:
@@ -188,24 +197,30 @@ class Adapt:
         prior.check(family, acting=True)
         task = _task(family, self.pole, self.seed)
         _check_counts(updates=self.updates)
-        folder = claim(self.out, "adapted")
-        posterior, returns = adapt(
-            prior,
-            family,
-            task,
-            updates=self.updates,
-            step_size=self.step_size,
-            rule=RULES[self.rule],
-            seed=self.seed,
-            observers=_observers(folder),
-        )
-        posterior.save(folder / "posterior.safetensors")
+        with claimed(self.out, "adapted", _settings(self), resume=self.resume) as folder:
+            posterior, returns = adapt(
+                prior,
+                family,
+                task,
+                updates=self.updates,
+                step_size=self.step_size,
+                rule=RULES[self.rule],
+                seed=self.seed,
+                session=session_in(folder, resume=self.resume),
+            )
+            posterior.save(folder / "posterior.safetensors", overwrite=self.resume)
         title = f"{self.rule} on a pole of {float(task.length):.2f} m, saved as {folder / 'posterior.safetensors'}"
         _print_returns(title, np.arange(len(returns)), returns)
 
 
-def _observers(folder: Path) -> list[Observer]:
-    return [ProgressBar(), EventLog(folder / "logs")]
+def _settings(command: Any) -> dict[str, Any]:
+    """What decides a command's results: all but where they go, and whether they go on."""
+    fields = asdict(command, dict_factory=_with_paths_as_text)
+    return {name: value for name, value in fields.items() if name not in ("out", "resume")}
+
+
+def _with_paths_as_text(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: str(value) if isinstance(value, Path) else value for name, value in pairs}
 
 
 def _check_counts(**counts: int) -> None:

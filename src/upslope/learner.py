@@ -4,8 +4,9 @@ from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 
-from upslope.types import Key, Metrics
+from upslope.types import Key, Metrics, Transition
 
 
 class AbstractLearner(eqx.Module):
@@ -21,8 +22,22 @@ class AbstractLearner(eqx.Module):
 
     @abstractmethod
     def step(self, state: Any) -> tuple[Any, Metrics]:
-        """One update, as the figures count them."""
+        """One update, as the figures count them.
+
+        A metric that is not finite stops a run, and its name tells where trouble began: metrics named after
+        ``observation``, ``reward``, ``loss`` and ``gradient`` are looked at in this order.
+        """
 
     @abstractmethod
     def report(self, state: Any) -> dict[str, Any]:
         """What is recorded between chunks of steps: at least ``return``, the raw greedy return. Changes no state."""
+
+
+def vital_signs(seen: Transition) -> Metrics:
+    """Metrics of what an environment showed, means over the last axis of the steps ``[..., steps]``.
+
+    The size of the observations' numbers, the successors' among them, and the raw reward.
+    """
+    axes = tuple(range(seen.reward.ndim - 1, seen.obs.ndim))
+    sizes = jnp.abs(seen.obs) + jnp.abs(seen.next_obs)
+    return {"observation_size": jnp.mean(sizes, axis=axes) / 2, "reward": jnp.mean(seen.reward, axis=-1)}

@@ -9,7 +9,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from upslope.learner import AbstractLearner
+from upslope.learner import AbstractLearner, vital_signs
 from upslope.losses import prior_learning_loss, td_loss
 from upslope.maml import meta_loss
 from upslope.networks import DuelingQ
@@ -68,15 +68,16 @@ class MetaTraining(AbstractLearner):
         key, task_key, collect_key, update_key = jax.random.split(state.key, 4)
         experience = self.collect(collect_key, self.family.sample_many(task_key, self.config.tasks), state.theta)
 
-        def update(carry: tuple[DuelingQ, Any], key: Key) -> tuple[tuple[DuelingQ, Any], Scalar]:
+        def update(carry: tuple[DuelingQ, Any], key: Key) -> tuple[tuple[DuelingQ, Any], Metrics]:
             theta, optimiser = carry
             samples = self.draw(key, experience, state.target)
             loss, gradient = jax.value_and_grad(self.outer_loss)(theta, samples)
             change, optimiser = self._optimiser().update(gradient, optimiser)
-            return (optax.apply_updates(theta, change), optimiser), loss
+            metrics = {"outer_loss": loss, "gradient_norm": optax.tree.norm(gradient)}
+            return (optax.apply_updates(theta, change), optimiser), metrics
 
         keys = jax.random.split(update_key, self.config.outer_updates)
-        (theta, optimiser), losses = jax.lax.scan(update, (state.theta, state.optimiser), keys)
+        (theta, optimiser), metrics = jax.lax.scan(update, (state.theta, state.optimiser), keys)
         following = MetaTrainingState(
             key,
             state.trial_key,
@@ -85,7 +86,7 @@ class MetaTraining(AbstractLearner):
             self._average(theta, state.average),
             optimiser,
         )
-        return following, {"outer_loss": jnp.mean(losses)}
+        return following, vital_signs(experience) | jax.tree.map(jnp.mean, metrics)
 
     def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition:
         """Fresh replays D_i ``[tasks, steps, ...]``, ε-greedy by Q_θ, with its own ε for each task."""

@@ -98,14 +98,14 @@ class Prior:
                     "Use a prior that was trained on these tasks, or make the tasks with the prior's settings."
                 )
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Writes one safetensors file: the parameters, and `TrainedOn` as its JSON header.
 
         Raises:
             UpslopeError: the file exists already or can't be written.
         """
         path = Path(path)
-        if path.exists():
+        if path.exists() and not overwrite:
             raise UpslopeError(f"{path} exists already, and nothing is overwritten: give another file name.")
         header = {
             "format": FORMAT,

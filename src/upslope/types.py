@@ -25,8 +25,8 @@ Potential: TypeAlias = Callable[[Observation], Scalar]
 #: A policy: a key and a batch of observations ``[n, *obs]`` to a batch of actions ``[n, ...]``.
 Policy: TypeAlias = Callable[[Key, Float[Array, "n *obs"]], Any]
 
-#: What a learner reports of one step: named scalars.
-Metrics: TypeAlias = dict[str, Scalar]
+#: What a learner reports of one step: named numbers, or one for each of its tasks.
+Metrics: TypeAlias = dict[str, Float[Array, "..."]]
 
 
 class Transition(NamedTuple):

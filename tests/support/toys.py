@@ -54,7 +54,7 @@ class Memory:
     def begin(self, title, updates, learners):
         self.told.append(("begin", title, updates, learners))
 
-    def record(self, update, returns, metrics):
+    def record(self, update, returns, metrics, *, at):
         self.told.append(("record", update, returns, metrics))
 
     def end(self):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from upslope.agents.experience import Experience, greedy_return
-from upslope.learner import AbstractLearner
+from upslope.learner import AbstractLearner, vital_signs
 from upslope.losses import advantage_loss, value_loss
 from upslope.maml import descend
 from upslope.networks import DuelingQ
@@ -121,11 +121,13 @@ class Adaptation(AbstractLearner):
     def step(self, state: AdaptationState) -> tuple[AdaptationState, Metrics]:
         key, act_key, sample_key = jax.random.split(state.key, 3)
         policy = EpsilonGreedy(state.phi.advantage, self.config.epsilon)
-        experience = state.experience.extend(act_key, self.family, self.task, policy, self.config.steps_per_update)
+        experience, seen = state.experience.extend(
+            act_key, self.family, self.task, policy, self.config.steps_per_update
+        )
         batch = experience.sample(sample_key, self.config.batch_size).transition
         phi = self.rule.update(state.phi, self.prior, batch, self.step_size)
         moved = jnp.mean(jnp.abs(jax.vmap(phi.value)(batch.obs) - jax.vmap(self.prior.value)(batch.obs)))
-        return AdaptationState(key, phi, experience), {"value_change": moved}
+        return AdaptationState(key, phi, experience), vital_signs(seen) | {"value_change": moved}
 
     def report(self, state: AdaptationState) -> dict[str, Scalar]:
         key = jax.random.fold_in(state.key, 0)

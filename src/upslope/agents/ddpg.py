@@ -9,7 +9,7 @@ import optax
 
 from upslope.agents.dqn import adam
 from upslope.agents.experience import Experience, greedy_return
-from upslope.learner import AbstractLearner
+from upslope.learner import AbstractLearner, vital_signs
 from upslope.losses import huber
 from upslope.networks import Actor, Critic
 from upslope.policies import Deterministic, Noisy
@@ -77,7 +77,7 @@ class DDPG(AbstractLearner):
         sizes = (family.observation_shape[0], family.actions, config.hidden, family.observation_scale)
         actor, critic = Actor(actor_key, *sizes), Critic(critic_key, *sizes)
         experience = Experience.start(start_key, family, self.task, config.replay_capacity, self.shaping)
-        experience = experience.extend(
+        experience, _ = experience.extend(
             warmup_key, family, self.task, Noisy(actor, config.noise), config.warmup_steps, self.shaping
         )
         optimisers = (self._adam().init(actor), self._adam().init(critic))
@@ -87,21 +87,21 @@ class DDPG(AbstractLearner):
         key, act_key, sample_key = jax.random.split(state.key, 3)
         config = self.config
         policy = Noisy(state.actor, config.noise)
-        experience = state.experience.extend(
+        experience, seen = state.experience.extend(
             act_key, self.family, self.task, policy, config.steps_per_update, self.shaping
         )
         batch = shape(*experience.sample(sample_key, config.batch_size))
 
-        critic_objective, gradient = jax.value_and_grad(critic_loss)(
+        critic_objective, critic_gradient = jax.value_and_grad(critic_loss)(
             state.critic, state.target_actor, state.target_critic, batch, config.huber_threshold
         )
-        change, critic_optimiser = self._adam().update(gradient, state.optimisers[1])
+        change, critic_optimiser = self._adam().update(critic_gradient, state.optimisers[1])
         critic = optax.apply_updates(state.critic, change)
 
-        actor_objective, gradient = jax.value_and_grad(actor_loss)(
+        actor_objective, actor_gradient = jax.value_and_grad(actor_loss)(
             state.actor, critic, batch, config.saturation_penalty
         )
-        change, actor_optimiser = self._adam().update(gradient, state.optimisers[0])
+        change, actor_optimiser = self._adam().update(actor_gradient, state.optimisers[0])
         actor = optax.apply_updates(state.actor, change)
 
         following = DDPGState(
@@ -113,10 +113,11 @@ class DDPG(AbstractLearner):
             (actor_optimiser, critic_optimiser),
             experience,
         )
-        metrics = {
+        metrics = vital_signs(seen) | {
             "critic_loss": critic_objective,
             "actor_loss": actor_objective,
-            "mean_reward": jnp.mean(batch.reward),
+            "gradient_norm": optax.tree.norm((actor_gradient, critic_gradient)),
+            "shaped_reward": jnp.mean(batch.reward),
         }
         return following, metrics
 

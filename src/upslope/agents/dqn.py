@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optax
 
 from upslope.agents.experience import Experience, greedy_return
-from upslope.learner import AbstractLearner
+from upslope.learner import AbstractLearner, vital_signs
 from upslope.losses import huber, td_error
 from upslope.networks import QNetwork
 from upslope.policies import EpsilonGreedy, Greedy
@@ -76,7 +76,7 @@ class DQN(AbstractLearner):
             self.family.observation_scale,
         )
         experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity, self.shaping)
-        experience = experience.extend(
+        experience, _ = experience.extend(
             warmup_key, self.family, self.task, EpsilonGreedy(network, 1.0), self.config.warmup_steps, self.shaping
         )
         return DQNState(key, network, network, self._adam().init(network), experience)
@@ -84,7 +84,7 @@ class DQN(AbstractLearner):
     def step(self, state: DQNState) -> tuple[DQNState, Metrics]:
         key, act_key, sample_key = jax.random.split(state.key, 3)
         policy = EpsilonGreedy(state.network, self.config.epsilon)
-        experience = state.experience.extend(
+        experience, seen = state.experience.extend(
             act_key, self.family, self.task, policy, self.config.steps_per_update, self.shaping
         )
         batch = shape(*experience.sample(sample_key, self.config.batch_size))
@@ -92,7 +92,11 @@ class DQN(AbstractLearner):
         change, optimiser = self._adam().update(gradient, state.optimiser)
         network = optax.apply_updates(state.network, change)
         target = optax.incremental_update(network, state.target, self.config.target_rate)
-        metrics = {"td_loss": loss, "mean_reward": jnp.mean(batch.reward)}
+        metrics = vital_signs(seen) | {
+            "td_loss": loss,
+            "gradient_norm": optax.tree.norm(gradient),
+            "shaped_reward": jnp.mean(batch.reward),
+        }
         return DQNState(key, network, target, optimiser, experience), metrics
 
     def report(self, state: DQNState) -> dict[str, Scalar]:

@@ -49,12 +49,16 @@ class Experience(eqx.Module):
         policy: Policy,
         steps: int,
         shaping: Shaping | None = None,
-    ) -> "Experience":
-        """Acts for ``steps`` steps and remembers them, with F beside the raw rewards where there is a shaping."""
+    ) -> tuple["Experience", Transition]:
+        """Acts for ``steps`` steps and remembers them, with F beside the raw rewards where there is a shaping.
+
+        Returns:
+            The longer experience, and the new raw transitions ``[steps, ...]``.
+        """
         running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
         transitions = jax.tree.map(lambda leaf: leaf[0], transitions)
         record = Record(transitions, None if shaping is None else shaping.rewards(transitions))
-        return Experience(running, self.replay.add(record))
+        return Experience(running, self.replay.add(record)), transitions
 
     def sample(self, key: Key, count: int) -> Record:
         """Draws ``count`` records uniformly."""

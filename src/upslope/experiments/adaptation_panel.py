@@ -1,6 +1,5 @@
 """Adaptation with the advantage head (Fig. 1, left): Algorithm 2, MAML and the controls, from priors of any age."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -18,7 +17,7 @@ from upslope.experiments.results import Arm, Panel
 from upslope.networks import DuelingQ
 from upslope.potentials import stack
 from upslope.run.loop import Outcome, run
-from upslope.run.observers import Observer
+from upslope.run.session import Session
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Task
 
@@ -58,7 +57,7 @@ def adaptation_panel(
     panel: AdaptationPanel,
     config: AdaptationConfig,
     first_seed: int,
-    observers: Sequence[Observer] = (),
+    session: Session | None = None,
 ) -> Panel:
     """Every rule from every stop on every task, each at the step size that was best on tuning tasks.
 
@@ -77,13 +76,13 @@ def adaptation_panel(
         sizes = jnp.asarray([panel.step_sizes[t % len(panel.step_sizes)] for t in range(count)])
         tried = jnp.broadcast_to(sizes, (len(panel.stops), count))
         args = (family, starts, rule, config, panel.updates, first_seed)
-        tuning = _adapt(*args, tuning_tasks, tried, Purpose.TUNING, f"tuning {name}", observers)
+        tuning = _adapt(*args, tuning_tasks, tried, Purpose.TUNING, f"tuning {name}", session)
         scores = np.asarray(tuning.reports["return"])
         if name == "algorithm2":
             zero_shot = np.median(scores[..., 0], axis=(1, 2))
         best = _best_sizes(scores, panel.step_sizes)
         chosen = jnp.broadcast_to(jnp.asarray(best)[:, None], (len(panel.stops), count))
-        test = _adapt(*args, tasks, chosen, Purpose.LEFT, name, observers)
+        test = _adapt(*args, tasks, chosen, Purpose.LEFT, name, session)
         for index, stop in enumerate(panel.stops):
             returns = np.asarray(test.reports["return"][index])
             found[str(stop)][name] = Arm(test.updates, returns, {"step_size": best[index]})
@@ -106,7 +105,7 @@ def _adapt(
     step_sizes: Float[Array, "stops tasks"],
     purpose: Purpose,
     title: str,
-    observers: Sequence[Observer],
+    session: Session | None,
 ) -> Outcome:
     """One rule from all stops ``[stops, seeds, ...]`` on all tasks ``[tasks, ...]``."""
     stops, seeds = jax.tree.leaves(starts)[0].shape[:2]
@@ -121,7 +120,7 @@ def _adapt(
         config,
     )
     keys = jnp.broadcast_to(keys_per_task(first_seed, seeds, count, purpose), batch)
-    return run(learners, keys, updates=updates, every=1, title=title, observers=observers, allow_divergence=True)
+    return run(learners, keys, updates=updates, every=1, title=title, session=session, allow_divergence=True)
 
 
 def _best_sizes(scores: np.ndarray, step_sizes: tuple[float, ...]) -> list[float]:

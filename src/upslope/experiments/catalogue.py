@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,9 @@ from upslope.experiments.learners import ARMS, LearnersConfig, learners, quick_l
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
 from upslope.experiments.results import write_results
-from upslope.run.folder import claim
-from upslope.run.observers import EventLog, Observer, ProgressBar
+from upslope.run.folder import claimed
+from upslope.run.session import Session, session_in
+from upslope.storage import write_atomically
 
 EXPERIMENTS = ("fig1", "deviations", "learners")
 PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
@@ -33,6 +34,7 @@ def reproduce(
     tasks: int | None = None,
     first_seed: int = 0,
     panels: Sequence[PanelName] = PANELS,
+    resume: bool = False,
     console: Console | None = None,
 ) -> None:
     """Runs an experiment into an empty folder, and sums it up on the console.
@@ -45,10 +47,12 @@ def reproduce(
         tasks: how many unseen tasks; the experiment's own number if None.
         first_seed: other seeds and other test tasks.
         panels: of the figure.
+        resume: go on with the run in ``out``, started with the same settings.
         console: where the summary goes.
 
     Raises:
-        UpslopeError: an unknown experiment or panel, a folder that holds something, or counts below one.
+        UpslopeError: an unknown experiment or panel, a folder that holds something (or, to be resumed,
+            no such run), or counts below one.
     """
     if experiment not in EXPERIMENTS:
         raise UpslopeError(f"There is no figure {experiment!r}: choose one of {', '.join(EXPERIMENTS)}.")
@@ -61,40 +65,48 @@ def reproduce(
     if experiment == "fig1":
         config = quick(Figure1Config()) if is_quick else Figure1Config()
         config = replace(config, first_seed=first_seed, seeds=seeds or config.seeds, tasks=tasks or config.tasks)
-        _reproduce_figure1(config, is_quick, panels, out, console)
+        _reproduce_figure1(config, is_quick, panels, out, resume, console)
     elif experiment == "deviations":
         study = quick_deviations(DeviationsConfig()) if is_quick else DeviationsConfig()
         study = replace(study, first_seed=first_seed, seeds=seeds or study.seeds, tasks=tasks or study.tasks)
-        _reproduce_study(experiment, partial(deviations, study), _deviations_table, out, console)
+        _reproduce_study(experiment, study, partial(deviations, study), _deviations_table, out, resume, console)
     else:
         tuning = quick_learners(LearnersConfig()) if is_quick else LearnersConfig()
         shifted = tuning.first_seed + first_seed
         tuning = replace(tuning, first_seed=shifted, seeds=seeds or tuning.seeds, tasks=tasks or tuning.tasks)
-        _reproduce_study(experiment, partial(learners, tuning), _learners_table, out, console)
+        _reproduce_study(experiment, tuning, partial(learners, tuning), _learners_table, out, resume, console)
 
 
 def _reproduce_figure1(
-    config: Figure1Config, is_quick: bool, panels: Sequence[PanelName], out: Path | None, console: Console
+    config: Figure1Config,
+    is_quick: bool,
+    panels: Sequence[PanelName],
+    out: Path | None,
+    resume: bool,
+    console: Console,
 ) -> None:
-    folder = claim(out, "fig1")
-    result = figure1(config, panels=panels, is_quick=is_quick, observers=[ProgressBar(), EventLog(folder / "logs")])
-    write_results(result, folder)
-    draw(result, folder)
-    write_report(result, folder)
+    with claimed(out, "fig1", {"panels": panels, **asdict(config)}, resume=resume) as folder:
+        session = session_in(folder, resume=resume, final_states=False)
+        result = figure1(config, panels=panels, is_quick=is_quick, session=session)
+        write_results(result, folder)
+        draw(result, folder)
+        write_report(result, folder)
     print_summary(result, console)
     console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; the picture is {folder / 'figure.png'}.")
 
 
 def _reproduce_study(
     name: str,
-    study: Callable[[Sequence[Observer]], dict[str, Any]],
+    config: DeviationsConfig | LearnersConfig,
+    study: Callable[[Session], dict[str, Any]],
     table: Callable[[dict[str, Any]], Table],
     out: Path | None,
+    resume: bool,
     console: Console,
 ) -> None:
-    folder = claim(out, name)
-    results = study([ProgressBar(), EventLog(folder / "logs")])
-    (folder / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    with claimed(out, name, asdict(config), resume=resume) as folder:
+        results = study(session_in(folder, resume=resume, final_states=False))
+        write_atomically(folder / "results.json", (json.dumps(results, indent=1) + "\n").encode())
     console.print(table(results))
     console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold].")
 

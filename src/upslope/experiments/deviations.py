@@ -1,7 +1,6 @@
 """What each difference from the paper is worth: Algorithm 1 to the letter, our recipe, the recipe less one thing."""
 
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -16,7 +15,7 @@ from upslope.policies import EpsilonGreedy
 from upslope.recipes import MetaTrainingConfig, as_printed
 from upslope.run.compiling import compile_clock
 from upslope.run.machine import hardware, versions
-from upslope.run.observers import Observer
+from upslope.run.session import Session
 from upslope.tasks import JaxTasks, cartpoles
 
 RECIPE = MetaTrainingConfig()
@@ -67,7 +66,7 @@ def quick_deviations(config: DeviationsConfig) -> DeviationsConfig:
     return replace(config, seeds=2, tasks=10, variants=("0", "1"))
 
 
-def deviations(config: DeviationsConfig, observers: Sequence[Observer] = ()) -> dict[str, Any]:
+def deviations(config: DeviationsConfig, session: Session | None = None) -> dict[str, Any]:
     """Meta-trains every variant and returns the content of its results.json.
 
     Per variant: the zero-shot return of each seed's prior on unseen tasks, and how much V varies over states of
@@ -87,7 +86,7 @@ def deviations(config: DeviationsConfig, observers: Sequence[Observer] = ()) -> 
                 settings,
                 config.first_seed,
                 config.seeds,
-                observers,
+                session,
                 title=f"variant {name}",
                 allow_divergence=True,
             )

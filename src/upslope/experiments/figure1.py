@@ -18,7 +18,7 @@ from upslope.experiments.results import FigureResult, Panel
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
-from upslope.run.observers import Observer
+from upslope.run.session import Session
 from upslope.tasks import cartpoles
 
 PanelName = Literal["left", "middle", "right"]
@@ -87,7 +87,7 @@ def figure1(
     *,
     panels: Sequence[PanelName] = ("left", "middle", "right"),
     is_quick: bool = False,
-    observers: Sequence[Observer] = (),
+    session: Session | None = None,
 ) -> FigureResult:
     """Runs the panels asked for. The same configuration gives bit-identical returns on one machine."""
     began = time.perf_counter()
@@ -96,12 +96,12 @@ def figure1(
         family = cartpoles(config.length, gamma=config.gamma)
         seed = config.first_seed
         tasks = family.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
-        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, observers)
+        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session)
         if "left" in panels:
-            finished["left"] = adaptation_panel(family, priors, tasks, config.panel, config.adaptation, seed, observers)
+            finished["left"] = adaptation_panel(family, priors, tasks, config.panel, config.adaptation, seed, session)
         if "middle" in panels or "right" in panels:
             levels = mean_levels(family, priors.final, key_for(seed, Purpose.LEVEL))
-            best = oracles(family, tasks, config.oracle, seed, observers)
+            best = oracles(family, tasks, config.oracle, seed, session)
             arms = shaping_arms(family, priors.final, levels, best, config.tasks)
             if "middle" in panels:
                 finished["middle"] = shaping_panel(
@@ -113,7 +113,7 @@ def figure1(
                     seed,
                     updates=config.dqn_updates,
                     every=config.every,
-                    observers=observers,
+                    session=session,
                 )
             if "right" in panels:
                 finished["right"] = shaping_panel(
@@ -125,7 +125,7 @@ def figure1(
                     seed,
                     updates=config.ddpg_updates,
                     every=config.every,
-                    observers=observers,
+                    session=session,
                 )
         returns = zero_shot_returns(family, priors.final, tasks, key_for(seed, Purpose.ZERO_SHOT))
         rows = describe_priors(np.asarray(returns), seed)

@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -14,7 +13,7 @@ from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
 from upslope.run.machine import hardware, versions
-from upslope.run.observers import Observer
+from upslope.run.session import Session
 from upslope.tasks import cartpoles
 
 ARMS = ("unshaped", "constant", "prior")
@@ -65,14 +64,14 @@ def quick_learners(config: LearnersConfig) -> LearnersConfig:
     return replace(config, seeds=1, tasks=4, dqn_updates=100, ddpg_updates=100)
 
 
-def learners(config: LearnersConfig, observers: Sequence[Observer] = ()) -> dict[str, Any]:
+def learners(config: LearnersConfig, session: Session | None = None) -> dict[str, Any]:
     """Runs every setting of both learners with every arm, and returns the content of its results.json."""
     began = time.perf_counter()
     family = cartpoles()
     rows: dict[str, dict[str, Any]] = {}
     with compile_clock() as clock:
         tasks = family.sample_many(key_for(config.first_seed, Purpose.TUNING_TASKS), config.tasks)
-        priors = meta_train_priors(family, config.meta_training, config.first_seed, config.seeds, observers).final
+        priors = meta_train_priors(family, config.meta_training, config.first_seed, config.seeds, session).final
         levels = mean_levels(family, priors, key_for(config.first_seed, Purpose.LEVEL))
         arms = shaping_arms(family, priors, levels, None, config.tasks)
         chosen = {name: arms[name] for name in ARMS}
@@ -90,7 +89,7 @@ def learners(config: LearnersConfig, observers: Sequence[Observer] = ()) -> dict
                     config.first_seed,
                     updates=updates,
                     every=config.every,
-                    observers=observers,
+                    session=session,
                 )
                 summaries = {arm: curves.summary for arm, curves in panel.arms.items()}
                 rows[f"{learner}, {name}"] = {"arms": summaries, "settings": _plain(asdict(settings))}

@@ -1,6 +1,5 @@
 """The priors of a figure: meta-trained side by side, with their snapshots; and each task's oracle."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -14,7 +13,7 @@ from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.loop import Outcome, broadcast, run
-from upslope.run.observers import Observer
+from upslope.run.session import Session
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Task
 
@@ -47,7 +46,7 @@ def meta_train_priors(
     config: MetaTrainingConfig,
     first_seed: int,
     seeds: int,
-    observers: Sequence[Observer] = (),
+    session: Session | None = None,
     title: str = "meta-training",
     allow_divergence: bool = False,
 ) -> Priors:
@@ -58,7 +57,7 @@ def meta_train_priors(
         updates=config.iterations,
         every=config.snapshot_every,
         title=title,
-        observers=observers,
+        session=session,
         allow_divergence=allow_divergence,
     )
     snapshots, returns = outcome.reports["prior"], outcome.reports["return"]
@@ -71,7 +70,7 @@ def oracles(
     tasks: Task,
     config: MetaTrainingConfig,
     first_seed: int,
-    observers: Sequence[Observer] = (),
+    session: Session | None = None,
 ) -> DuelingQ:
     """Networks ``[tasks, ...]``, each trained to convergence on one task: their V heads are the oracle potentials.
 
@@ -85,7 +84,7 @@ def oracles(
         updates=config.iterations,
         every=config.snapshot_every,
         title="oracles",
-        observers=observers,
+        session=session,
     )
     return _best(outcome, config)
 

@@ -1,6 +1,5 @@
 """Shaping only (Fig. 1, middle and right): one learner with every potential, all arms through one program."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -14,7 +13,7 @@ from upslope.experiments.results import Arm, Panel
 from upslope.networks import DuelingQ
 from upslope.potentials import MeanPotential
 from upslope.run.loop import run
-from upslope.run.observers import Observer
+from upslope.run.session import Session
 from upslope.shaping import Shaping
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Task
@@ -84,7 +83,7 @@ def shaping_panel(
     *,
     updates: int,
     every: int,
-    observers: Sequence[Observer] = (),
+    session: Session | None = None,
 ) -> Panel:
     """Trains one agent per arm, seed and task; arms share seeds, tasks and randomness.
 
@@ -97,7 +96,7 @@ def shaping_panel(
         first_seed: of the runs.
         updates: of each agent.
         every: updates between evaluations.
-        observers: told of the progress.
+        session: who watches, and where checkpoints go.
     """
     count = jax.tree.leaves(tasks)[0].shape[0]
     purpose = Purpose.RIGHT if family.continuous else Purpose.MIDDLE
@@ -113,7 +112,7 @@ def shaping_panel(
             updates=updates,
             every=every,
             title=f"{type(learner).__name__} {name}",
-            observers=observers,
+            session=session,
         )
         finished[name] = Arm(outcome.updates, np.asarray(outcome.reports["return"]))
         compiling += outcome.seconds_compiling

@@ -1,12 +1,12 @@
 """Chunks of steps: one compiled program, mapped over a batch of learners and spread over the local devices."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Int
 
 from upslope.learner import AbstractLearner
 from upslope.run.compiling import QUICK_TO_COMPILE, QUICK_TO_RUN
@@ -30,59 +30,115 @@ def spread(batch: Any) -> Any:
     return jax.tree.map(place, batch)
 
 
-def start(learners: AbstractLearner, keys: Keys) -> Any:
-    """The states ``[learners, ...]`` before the first step."""
+class Chunk(NamedTuple):
+    """What a chunk of steps leaves behind, ``[learners, ...]``.
+
+    Attributes:
+        states: the learners' states.
+        totals: sums of the metrics since the last report.
+        broken: the first step of the chunk, counted from 1, with a metric that was not finite; 0 for none.
+        report: the learners' reports, or zeros where none was asked for.
+    """
+
+    states: Any
+    totals: Metrics
+    broken: Int[Array, "learners"]
+    report: dict[str, Any]
+
+
+def start(learners: AbstractLearner, keys: Keys) -> tuple[Any, Metrics]:
+    """The states ``[learners, ...]`` before the first step, and the metrics' sums, all zero."""
     return _start(learners, keys, mesh())
 
 
-def advance(
-    learners: AbstractLearner, states: Any, steps: int
-) -> tuple[Any, dict[str, Float[Array, "learners"]], dict[str, Any]]:
-    """Takes ``steps`` steps with every learner, then reports.
+def advance(learners: AbstractLearner, states: Any, totals: Metrics, steps: int, *, fresh: bool, report: bool) -> Chunk:
+    """Takes ``steps`` steps with every learner.
 
-    The number of steps is an input of the program: chunks of any length, none included, share one program.
-    The states given are consumed.
+    The number of steps is an input of the program, as is whether to report: chunks of any length, none included, share
+    one program, and a run cut into other chunks takes bit for bit the same steps.
+    The states and totals given are consumed.
 
-    Returns:
-        States, the mean of each metric over the chunk, and the reports, all ``[learners, ...]``.
+    Args:
+        learners: ``[learners, ...]``.
+        states: ``[learners, ...]``.
+        totals: sums of the metrics so far ``[learners, ...]``.
+        steps: how many.
+        fresh: start the sums anew.
+        report: let every learner report at the end.
     """
-    return _advance(learners, states, jnp.asarray(steps), mesh())
+    return _advance(learners, states, totals, jnp.asarray(steps), jnp.asarray(fresh), jnp.asarray(report), mesh())
 
 
-def _start_one(learner: AbstractLearner, key: Key) -> Any:
-    return learner.init(key)
+def shapes(learners: AbstractLearner, keys: Keys) -> tuple[Any, Any, Any]:
+    """What states, totals and reports look like, without computing any ``[learners, ...]``."""
+    states, totals = jax.eval_shape(jax.vmap(_start_one, in_axes=(_axes(learners), 0)), learners, keys)
+    return states, totals, jax.eval_shape(jax.vmap(_report_one, in_axes=(_axes(learners), 0)), learners, states)
 
 
-def _advance_one(learner: AbstractLearner, state: Any, steps: Int[Array, ""]) -> tuple[Any, Metrics, dict[str, Any]]:
-    shapes = jax.eval_shape(learner.step, state)[1]
-    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+def _start_one(learner: AbstractLearner, key: Key) -> tuple[Any, Metrics]:
+    state = learner.init(key)
+    return state, _zeros(jax.eval_shape(learner.step, state)[1])
 
-    def body(_: Int[Array, ""], carry: tuple[Any, Metrics]) -> tuple[Any, Metrics]:
-        state, total = carry
+
+def _report_one(learner: AbstractLearner, state: Any) -> dict[str, Any]:
+    return learner.report(state)
+
+
+def _advance_one(
+    learner: AbstractLearner,
+    state: Any,
+    totals: Metrics,
+    steps: Int[Array, ""],
+    fresh: Bool[Array, ""],
+    report: Bool[Array, ""],
+) -> Chunk:
+    def body(index: Int[Array, ""], carry: tuple[Any, Metrics, Int[Array, ""]]) -> tuple[Any, Metrics, Int[Array, ""]]:
+        state, totals, broken = carry
         state, metrics = learner.step(state)
-        return state, jax.tree.map(jnp.add, total, metrics)
+        finite = jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(metrics)]).all()
+        broken = jnp.where((broken == 0) & ~finite, index + 1, broken)
+        return state, jax.tree.map(jnp.add, totals, metrics), broken
 
-    state, total = jax.lax.fori_loop(0, steps, body, (state, nothing))
-    metrics = jax.tree.map(lambda leaf: leaf / jnp.maximum(steps, 1), total)
-    return state, metrics, learner.report(state)
+    totals = jax.tree.map(lambda leaf: jnp.where(fresh, jnp.zeros_like(leaf), leaf), totals)
+    state, totals, broken = jax.lax.fori_loop(0, steps, body, (state, totals, jnp.zeros((), jnp.int32)))
+    told = jax.lax.cond(report, lambda: learner.report(state), lambda: _zeros(jax.eval_shape(learner.report, state)))
+    return Chunk(state, totals, broken, told)
+
+
+def _zeros(shapes: Any) -> Any:
+    return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+
+
+def _axes(inputs: Any) -> Any:
+    """The learners' axis of every leaf; 0-d leaves are shared by all learners."""
+    return jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, inputs)
 
 
 def _mapped(function: Any, devices: Mesh, *inputs: Any) -> Any:
-    """The function over the learners' axis of every input; 0-d leaves are shared by all learners."""
-    axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, inputs)
+    """The function over the learners' axis of every input, on each device for its own share of them."""
     specs = jax.tree.map(lambda leaf: P(_AXIS) if jnp.ndim(leaf) else P(), inputs)
-    over_learners = jax.vmap(function, in_axes=axes)
+    over_learners = jax.vmap(function, in_axes=_axes(inputs))
     return jax.shard_map(over_learners, mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False)(*inputs)
 
 
-def _start_all(learners: AbstractLearner, keys: Keys, devices: Mesh) -> Any:
+def _start_all(learners: AbstractLearner, keys: Keys, devices: Mesh) -> tuple[Any, Metrics]:
     return _mapped(_start_one, devices, learners, keys)
 
 
-def _advance_all(learners: AbstractLearner, states: Any, steps: Int[Array, ""], devices: Mesh) -> Any:
-    return _mapped(_advance_one, devices, learners, states, steps)
+def _advance_all(
+    learners: AbstractLearner,
+    states: Any,
+    totals: Metrics,
+    steps: Int[Array, ""],
+    fresh: Bool[Array, ""],
+    report: Bool[Array, ""],
+    devices: Mesh,
+) -> Chunk:
+    return _mapped(_advance_one, devices, learners, states, totals, steps, fresh, report)
 
 
 # What runs once is compiled as fast as can be; what runs for long, well.
 _start = jax.jit(_start_all, static_argnames="devices", compiler_options=QUICK_TO_COMPILE)
-_advance = jax.jit(_advance_all, static_argnames="devices", donate_argnames="states", compiler_options=QUICK_TO_RUN)
+_advance = jax.jit(
+    _advance_all, static_argnames="devices", donate_argnames=("states", "totals"), compiler_options=QUICK_TO_RUN
+)

@@ -2,19 +2,24 @@
 
 import math
 import time
-from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.errors import UpslopeError
+from upslope.errors import NotSavedError, UpslopeError
 from upslope.learner import AbstractLearner
 from upslope.run import chunks
+from upslope.run.checkpoints import Stage, describe
 from upslope.run.compiling import compile_clock
-from upslope.run.observers import Observer
+from upslope.run.health import check_finite
+from upslope.run.pace import Pace
+from upslope.run.position import Position, on_host
 from upslope.run.randomness import unrolled
+from upslope.run.session import Session
+from upslope.run.signals import StopRequest, stop_requests
 from upslope.types import Keys
 
 
@@ -22,11 +27,13 @@ class Outcome(NamedTuple):
     """What a run leaves behind.
 
     Attributes:
-        flat_states: of all learners at the end, their batch axes flattened and padded for the devices.
+        flat_states: of all learners at the end, their batch axes flattened; None where a finished run was resumed whose
+            states were not kept.
         batch: the batch axes.
         updates: steps taken at each report ``[reports]``.
         reports: what the learners reported, by name ``[*batch, reports, ...]``.
-        metrics: chunk means of the learners' metrics, by name ``[*batch, reports]``; zeros before the first step.
+        metrics: means of the learners' metrics between reports, by name ``[*batch, reports, ...]``; zeros before the
+            first step.
         seconds_compiling: spent on tracing and compiling.
         seconds_running: all the rest.
         programs: how many were compiled.
@@ -55,7 +62,7 @@ def run(
     updates: int,
     every: int,
     title: str = "learning",
-    observers: Sequence[Observer] = (),
+    session: Session | None = None,
     allow_divergence: bool = False,
 ) -> Outcome:
     """Runs a batch of learners side by side, reporting before the first step and after every ``every`` steps.
@@ -65,55 +72,146 @@ def run(
         keys: one key for each learner ``[*batch]``.
         updates: steps of each learner.
         every: steps between reports.
-        title: what observers call this run.
-        observers: told of the start, of every report and of the end.
+        title: what observers call this run; with checkpoints, different from those of the session's other runs.
+        session: who watches, and where checkpoints go.
         allow_divergence: carry on with non-finite metrics, as sweeps over step sizes must.
 
     Raises:
         UpslopeError: ``updates`` or ``every`` below one, or a metric that is not a finite number.
+        DamagedFileError, NotSavedError: trouble with checkpoints or logs.
+        InterruptedRunError: a signal; only where there are checkpoints, and after the last of them.
     """
     if updates < 1 or every < 1:
         raise UpslopeError(f"{updates} updates, reported every {every}, can't be run: give at least 1 of each.")
+    session = session or Session()
     began = time.perf_counter()
-    batch = keys.shape
-    count = math.prod(batch)
+    stage = None
+    if session.checkpoints is not None:
+        stage = session.checkpoints.stage(title, describe(learners, keys, updates, every))
+    batch, count = keys.shape, math.prod(keys.shape)
     learners = jax.tree.map(lambda leaf: _flatten(leaf, batch, count) if np.ndim(leaf) else leaf, learners)
     learners, keys = chunks.spread((learners, _flatten(unrolled(keys), batch, count)))
-    marks = [0, *range(every, updates, every), updates]
-    reports, metrics = [], []
     with compile_clock() as clock:
-        for observer in observers:
+        going = _Run(learners, keys, count, [0, *range(every, updates, every), updates], title, allow_divergence)
+        if stage is not None:
+            going.restore(stage.load(going.skeleton))
+        for observer in session.observers:
             observer.begin(title, updates, count)
         try:
-            states = chunks.start(learners, keys)
-            for before, mark in zip([0, *marks], marks, strict=False):
-                states, chunk_metrics, report = chunks.advance(learners, states, mark - before)
-                chunk_metrics, report = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], (chunk_metrics, report))
-                if not allow_divergence:
-                    _check_finite(title, mark, chunk_metrics)
-                metrics.append(chunk_metrics)
-                reports.append(report)
-                for observer in observers:
-                    observer.record(mark, report["return"], chunk_metrics)
+            if stage is None:
+                going.finish(session, None, StopRequest())
+            else:
+                with stop_requests() as request, request.deferred():
+                    going.finish(session, stage, request)
+        except NotSavedError as error:
+            error.outcome = going.outcome(batch, clock.seconds, time.perf_counter() - began, clock.programs)
+            raise
         finally:
-            for observer in observers:
+            for observer in session.observers:
                 observer.end()
+    return going.outcome(batch, clock.seconds, time.perf_counter() - began, clock.programs)
 
-    def stacked(items: list) -> Any:
-        return jax.tree.map(
-            lambda *leaves: np.stack(leaves, 1).reshape(*batch, len(marks), *leaves[0].shape[1:]), *items
+
+class _Run:
+    """A run in progress: what `Position` holds, on the devices and as lists."""
+
+    def __init__(
+        self, learners: AbstractLearner, keys: Keys, count: int, marks: list[int], title: str, allow_divergence: bool
+    ):
+        self.learners, self.keys, self.count, self.marks = learners, keys, count, marks
+        self.title, self.allow_divergence = title, allow_divergence
+        self.states: Any = None
+        self.totals: Any = None
+        self.update = 0
+        self.reports: list[Any] = []
+        self.metrics: list[Any] = []
+        self.times: list[float] = []
+
+    def skeleton(self) -> Position:
+        """The shapes of a `Position`, of the learners without the padding."""
+        own = jax.tree.map(lambda leaf: leaf[: self.count] if np.ndim(leaf) else leaf, (self.learners, self.keys))
+        states, totals, report = chunks.shapes(*own)
+        return Position(states, totals, 0, report, totals, np.zeros(0))
+
+    def restore(self, position: Position | None) -> None:
+        """Goes on from a checkpoint."""
+        if position is None:
+            return
+        self.update, self.times = position.update, position.times.tolist()
+        for index in range(len(self.times)):
+            at_mark = jax.tree.map(lambda leaf, i=index: leaf[:, i], (position.reports, position.metrics))
+            self.reports.append(at_mark[0])
+            self.metrics.append(at_mark[1])
+        if position.states is not None:
+            padded = jax.tree.map(lambda leaf: _pad(leaf), (position.states, position.totals))
+            self.states, self.totals = chunks.spread(padded)
+
+    def finish(self, session: Session, stage: Stage | None, request: StopRequest) -> None:
+        """Takes the steps that are missing."""
+        for index in range(len(self.times)):
+            self._tell(session, index)
+        if len(self.times) == len(self.marks):
+            return
+        if self.states is None:
+            self.states, self.totals = chunks.start(self.learners, self.keys)
+        pace = Pace(1.0 if stage else math.inf)
+        while len(self.times) < len(self.marks):
+            began = time.perf_counter()
+            steps = pace.steps(self.marks[len(self.times)] - self.update)
+            at_mark = self._advance(steps, f" ({stage.last_good()}.)" if stage else "")
+            pace.took(steps, time.perf_counter() - began)
+            try:
+                if at_mark:
+                    self._tell(session, len(self.times) - 1)
+            except NotSavedError:
+                if stage is not None:
+                    with suppress(NotSavedError):
+                        stage.save(self.position(), allow_divergence=self.allow_divergence)
+                raise
+            if stage is not None and self.times and (request.signal or stage.due(self.update)):
+                stage.save(self.position(), allow_divergence=self.allow_divergence)
+            if request.signal:
+                request.stop(f"{self.title}: stopped at update {self.update} of {self.marks[-1]}")
+        if stage is not None:
+            stage.finish(self.position(), allow_divergence=self.allow_divergence)
+
+    def _advance(self, steps: int, known_good: str) -> bool:
+        """One chunk. Returns whether it ended at a mark."""
+        mark = self.marks[len(self.times)]
+        last = self.marks[len(self.times) - 1] if self.times else 0
+        at_mark = self.update + steps == mark
+        chunk = chunks.advance(
+            self.learners, self.states, self.totals, steps, fresh=self.update == last, report=at_mark
+        )
+        self.states, self.totals = chunk.states, chunk.totals
+        if not self.allow_divergence:
+            check_finite(self.title, self.update, np.asarray(chunk.broken)[: self.count], self.totals, known_good)
+        self.update += steps
+        if at_mark:
+            totals, report = jax.tree.map(lambda leaf: np.asarray(leaf)[: self.count], (self.totals, chunk.report))
+            self.metrics.append(jax.tree.map(lambda leaf: leaf / leaf.dtype.type(max(mark - last, 1)), totals))
+            self.reports.append(report)
+            self.times.append(time.time())
+        return at_mark
+
+    def _tell(self, session: Session, index: int) -> None:
+        for observer in session.observers:
+            observer.record(self.marks[index], self.reports[index]["return"], self.metrics[index], at=self.times[index])
+
+    def position(self) -> Position:
+        """All of it, on the host."""
+        states, totals = jax.tree.map(lambda leaf: on_host(leaf)[: self.count], (self.states, self.totals))
+        return Position(
+            states, totals, self.update, _along_marks(self.reports), _along_marks(self.metrics), np.asarray(self.times)
         )
 
-    return Outcome(
-        states,
-        batch,
-        np.asarray(marks),
-        stacked(reports),
-        stacked(metrics),
-        clock.seconds,
-        time.perf_counter() - began - clock.seconds,
-        clock.programs,
-    )
+    def outcome(self, batch: tuple[int, ...], compiling: float, total: float, programs: int) -> Outcome:
+        """What there is by now."""
+        reports, metrics = jax.tree.map(
+            lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), (_along_marks(self.reports), _along_marks(self.metrics))
+        )
+        updates = np.asarray(self.marks[: len(self.times)])
+        return Outcome(self.states, batch, updates, reports, metrics, compiling, total - compiling, programs)
 
 
 def broadcast(learner: AbstractLearner, batch: tuple[int, ...]) -> AbstractLearner:
@@ -121,18 +219,17 @@ def broadcast(learner: AbstractLearner, batch: tuple[int, ...]) -> AbstractLearn
     return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (*batch, *np.shape(leaf))), learner)
 
 
+def _along_marks(items: list[Any]) -> Any:
+    """``[learners, ...]`` of every mark as ``[learners, marks, ...]``."""
+    return jax.tree.map(lambda *leaves: np.stack(leaves, 1), *items) if items else {}
+
+
 def _flatten(leaf: Any, batch: tuple[int, ...], count: int) -> Any:
-    """The batch axes as one, padded by repetition of the last learner until the devices divide it."""
-    leaf = leaf.reshape(count, *leaf.shape[len(batch) :])
-    missing = -count % len(jax.local_devices())
+    """The batch axes as one, padded."""
+    return _pad(leaf.reshape(count, *leaf.shape[len(batch) :]))
+
+
+def _pad(leaf: Any) -> Any:
+    """Repeats the last learner until the devices divide their number."""
+    missing = -leaf.shape[0] % len(jax.local_devices())
     return jnp.concatenate([leaf, *[leaf[-1:]] * missing]) if missing else leaf
-
-
-def _check_finite(title: str, update: int, metrics: dict[str, np.ndarray]) -> None:
-    for name, values in metrics.items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            raise UpslopeError(
-                f"{title}: {name} of learner {bad[0]} is not a finite number by update {update} "
-                f"({bad.size} of {values.size} learners): lower the step size, or check the potential and the rewards."
-            )

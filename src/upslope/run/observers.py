@@ -1,7 +1,10 @@
 """What people see of a run: a progress bar, TensorBoard event files, a JSON-lines file."""
 
 import json
+import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -10,6 +13,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from tensorboardX import SummaryWriter
 
+from upslope.errors import NotSavedError
+
 
 @runtime_checkable
 class Observer(Protocol):
@@ -17,8 +22,18 @@ class Observer(Protocol):
 
     def begin(self, title: str, updates: int, learners: int) -> None: ...
 
-    def record(self, update: int, returns: np.ndarray, metrics: dict[str, np.ndarray]) -> None:
-        """After ``update`` steps: the raw return of each learner ``[learners]``, metrics likewise."""
+    def record(self, update: int, returns: np.ndarray, metrics: dict[str, np.ndarray], *, at: float) -> None:
+        """After ``update`` steps: the raw return of each learner ``[learners]``, metrics likewise.
+
+        A resumed run tells again what was told before it stopped: what is kept is written anew from the beginning,
+        so it has neither gaps nor duplicates.
+
+        Args:
+            update: steps taken.
+            returns: ``[learners]``.
+            metrics: ``[learners, ...]``.
+            at: when, in seconds of the Unix clock.
+        """
         ...
 
     def end(self) -> None: ...
@@ -40,14 +55,17 @@ class ProgressBar:
 
     def begin(self, title: str, updates: int, learners: int) -> None:
         self._learners = learners
+        self._began = time.time()
+        self._first: tuple[int, float] | None = None
         self._progress.start()
         self._bar = self._progress.add_task(title, total=updates, median=0.0, rate="compiling")
 
-    def record(self, update: int, returns: np.ndarray, metrics: dict[str, np.ndarray]) -> None:
+    def record(self, update: int, returns: np.ndarray, metrics: dict[str, np.ndarray], *, at: float) -> None:
         del metrics
-        if update == 0:
-            self._started = time.perf_counter()
-        rate = self._learners * update / max(time.perf_counter() - self._started, 1e-9)
+        if self._first is None or at < self._began:
+            self._first = (update, at)
+        first_update, first_at = self._first
+        rate = self._learners * (update - first_update) / max(at - first_at, 1e-9)
         self._progress.update(self._bar, completed=update, median=float(np.median(returns)), rate=f"{rate:,.0f}/s")
 
     def end(self) -> None:
@@ -55,9 +73,12 @@ class ProgressBar:
 
 
 class EventLog:
-    """TensorBoard event files and ``metrics.jsonl``, under one folder.
+    """TensorBoard event files and ``metrics.jsonl``, in one folder for each run.
 
     Each record holds quartiles of the returns over the learners, and the mean of every metric.
+
+    Raises:
+        NotSavedError: a file that can't be written.
     """
 
     def __init__(self, folder: Path):
@@ -67,21 +88,37 @@ class EventLog:
         del updates
         self._title = title
         self._learners = learners
-        self._folder.mkdir(parents=True, exist_ok=True)
-        self._events = SummaryWriter(str(self._folder / "events" / title.replace(" ", "_")))
-        self._lines = (self._folder / "metrics.jsonl").open("a", encoding="utf-8")
+        folder = self._folder / title.replace(" ", "_")
+        with _writing(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+            self._lines = (folder / "metrics.jsonl").open("w", encoding="utf-8")
+            self._events = SummaryWriter(str(folder))
 
-    def record(self, update: int, returns: np.ndarray, metrics: dict[str, np.ndarray]) -> None:
+    def record(self, update: int, returns: np.ndarray, metrics: dict[str, np.ndarray], *, at: float) -> None:
         q1, median, q3 = np.percentile(returns, [25, 50, 75])
         scalars = {"return/median": median, "return/lower_quartile": q1, "return/upper_quartile": q3}
         scalars |= {f"metrics/{name}": np.mean(values) for name, values in metrics.items()}
-        for name, value in scalars.items():
-            self._events.add_scalar(name, float(value), update)
-        line = {"run": self._title, "learners": self._learners, "update": update}
+        line = {"run": self._title, "learners": self._learners, "update": update, "at": at}
         line |= {name: float(value) for name, value in scalars.items()}
-        self._lines.write(json.dumps(line) + "\n")
-        self._lines.flush()
+        with _writing(self._folder):
+            self._lines.write(json.dumps(line) + "\n")
+            self._lines.flush()
+            for name, value in scalars.items():
+                self._events.add_scalar(name, float(value), update, walltime=at)
 
     def end(self) -> None:
-        self._events.close()
-        self._lines.close()
+        with suppress(OSError):  # everything that matters is on the disk already
+            self._events.close()
+            self._lines.close()
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise NotSavedError(
+            f"The logs in {folder} can't be written ({error.strerror or error}): free some space, or give a folder "
+            "that can be written to."
+        ) from error
