@@ -91,8 +91,12 @@ class Stage:
         """
         began = time.monotonic()
         arrays = to_arrays(position)
-        if not allow_divergence:
-            self._check_finite(arrays, position.update)
+        bad = None if allow_divergence else _not_finite(arrays)
+        if bad is not None:
+            raise UpslopeError(
+                f"{self._description['title']}: {bad} is not finite at update {position.update}, so this state is not "
+                f"saved; {self.last_good()}. Lower the step size, or check the rewards and the potential."
+            )
         path = self._folder / f"{position.update:012d}.safetensors"
         storage.write(path, KIND, FORMAT_VERSION, {**self._description, "update": position.update}, arrays)
         for old in self._files()[self._settings.keep :]:
@@ -112,11 +116,12 @@ class Stage:
                 if other != path:
                     other.unlink(missing_ok=True)
 
-    def load(self, skeleton: Callable[[], Position]) -> Position | None:
+    def load(self, skeleton: Callable[[], Position], *, allow_divergence: bool = False) -> Position | None:
         """Where to go on from; None to start anew.
 
         Args:
             skeleton: makes a `Position` of shapes, its reports and metrics without the axis of marks.
+            allow_divergence: numbers that are not finite are none of its business.
 
         Raises:
             DamagedFileError: a checkpoint asked for by its path is not good.
@@ -125,10 +130,10 @@ class Stage:
         if not self._settings.resume:
             return None
         if isinstance(self._settings.resume, Path):
-            return self._read(self._settings.resume, skeleton)
+            return self._read(self._settings.resume, skeleton, allow_divergence)
         for path in self._files():
             try:
-                return self._read(path, skeleton)
+                return self._read(path, skeleton, allow_divergence)
             except DamagedFileError as error:
                 warnings.warn(f"{error} Trying the one before it.", stacklevel=2)
         return None
@@ -142,7 +147,7 @@ class Stage:
         """Newest first."""
         return sorted(self._folder.glob("*.safetensors"), reverse=True)
 
-    def _read(self, path: Path, skeleton: Callable[[], Position]) -> Position:
+    def _read(self, path: Path, skeleton: Callable[[], Position], allow_divergence: bool) -> Position:
         header, arrays, _ = storage.read(path, KIND, FORMAT_VERSION)
         update = header.pop("update", None)
         found = differences(header, self._description)
@@ -151,19 +156,14 @@ class Stage:
                 f"{path} is of a run with other settings ({'; '.join(found)}): "
                 "resume with the settings that it was started with, or start anew in another folder."
             )
+        bad = None if allow_divergence else _not_finite(arrays)
+        if bad is not None:
+            raise DamagedFileError(f"{path} holds numbers that are not finite, in {bad}.")
         needed = skeleton()
         try:
             return from_arrays(int(update), arrays, needed)
         except (KeyError, TypeError, ValueError) as error:
             raise DamagedFileError(f"{path} does not hold what this run needs ({error}).") from error
-
-    def _check_finite(self, arrays: dict[str, np.ndarray], update: int) -> None:
-        for name, array in arrays.items():
-            if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():
-                raise UpslopeError(
-                    f"{self._description['title']}: {name} is not finite at update {update}, so this state is not "
-                    f"saved; {self.last_good()}. Lower the step size, or check the rewards and the potential."
-                )
 
 
 def describe(learners: AbstractLearner, keys: Keys, updates: int, every: int) -> dict[str, Any]:
@@ -187,3 +187,9 @@ def _as_json(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _as_json(entry) for name, entry in value.items()}
     return [_as_json(entry) for entry in value] if isinstance(value, list | tuple) else value
+
+
+def _not_finite(arrays: dict[str, np.ndarray]) -> str | None:
+    """The name of the first array with such numbers."""
+    floats = ((name, array) for name, array in arrays.items() if np.issubdtype(array.dtype, np.floating))
+    return next((name for name, array in floats if not np.isfinite(array).all()), None)

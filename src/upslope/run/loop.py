@@ -94,7 +94,7 @@ def run(
     with compile_clock() as clock:
         going = _Run(learners, keys, count, [0, *range(every, updates, every), updates], title, allow_divergence)
         if stage is not None:
-            going.restore(stage.load(going.skeleton))
+            going.restore(stage.load(going.skeleton, allow_divergence=allow_divergence))
         for observer in session.observers:
             observer.begin(title, updates, count)
         try:

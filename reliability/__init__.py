@@ -1,0 +1,1 @@
+"""Checks that runs survive what can happen to them: kills, signals, damaged files, full disks, races."""

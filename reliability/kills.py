@@ -1,0 +1,73 @@
+"""SIGKILL at random moments, and at every named point inside a save: what resumes ends where it would have ended."""
+
+import random
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from reliability.processes import Ending, require, resume, work
+from reliability.worker import KINDS
+
+MILESTONES = (
+    "before the temporary file",
+    "amid the temporary file",
+    "before the file's fsync",
+    "before the rename",
+    "before the folder's fsync",
+    "after the folder's fsync",
+)
+
+
+def uninterrupted(kind: str, folder: Path) -> Ending:
+    """How a run ends that nobody disturbs, its programs compiled before."""
+    require(work(kind, folder / f"{kind}-first").code == 0, f"{kind} does not run at all")
+    ending = work(kind, folder / f"{kind}-whole")
+    require(ending.code == 0, f"{kind} does not run twice: {ending.errors}")
+    return ending
+
+
+def at_random_moments(folder: Path, wholes: dict[str, Ending], count: int, seed: int) -> dict[str, Any]:
+    """Kills ``count`` times; each killed run goes on, is killed again or ends."""
+    share = [count // len(KINDS) + (index < count % len(KINDS)) for index in range(len(KINDS))]
+
+    def chain(index: int) -> tuple[int, int]:
+        kind, generator = KINDS[index], random.Random(seed * 1000 + index)
+        whole, kills, ended, number = wholes[kind], 0, 0, 0
+        while kills < share[index]:
+            run = folder / f"{kind}-{number}"
+            ending = resume(kind, run, kill_after=generator.uniform(0.2, 1.05) * whole.seconds)
+            if ending.code == 0:
+                require(ending.digest == whole.digest, f"{kind} in {run} ended elsewhere after {kills} kills")
+                ended, number = ended + 1, number + 1
+            else:
+                require(ending.code == -9, f"{kind} in {run} ended with {ending.code}: {ending.errors}")
+                kills += 1
+        ending = resume(kind, folder / f"{kind}-{number}")
+        require(ending.digest == whole.digest, f"{kind} did not come to the same end: {ending.errors}")
+        return kills, ended + 1
+
+    with ThreadPoolExecutor(2) as pool:
+        done = list(pool.map(chain, range(len(KINDS))))
+    return {
+        "kills": sum(kills for kills, _ in done),
+        "runs_resumed_to_the_same_sha256": sum(ended for _, ended in done),
+        "kinds": list(KINDS),
+    }
+
+
+def inside_saves(folder: Path, whole: Ending, times: int) -> dict[str, Any]:
+    """Kills at each milestone of the first few saves of a DQN's run."""
+    cases = [(name, nth) for name in MILESTONES for nth in range(1, times + 1)]
+
+    def one(case: tuple[str, int]) -> None:
+        name, nth = case
+        run = folder / f"inside-{MILESTONES.index(name)}-{nth}"
+        # The first file written is the run's description, not a checkpoint.
+        ending = work("dqn", run, "--at", name, "--nth", str(nth + 1))
+        require(ending.code == -9, f"was not killed {name}: {ending.errors}")
+        ending = resume("dqn", run)
+        require(ending.digest == whole.digest, f"ended elsewhere after a kill {name}: {ending.errors}")
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(one, cases))
+    return {"points": len(MILESTONES), "kills": len(cases), "resumed_to_the_same_sha256": len(cases)}

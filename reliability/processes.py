@@ -1,0 +1,65 @@
+"""Starts workers, waits for them, and tells what became of them."""
+
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+
+
+class Ending(NamedTuple):
+    """How a worker ended.
+
+    Attributes:
+        code: its exit code; negative for a signal.
+        seconds: that it ran.
+        digest: what it printed, if it came to its end.
+        errors: what it said last.
+        honoured: seconds from the signal that it sent itself to its end.
+    """
+
+    code: int
+    seconds: float
+    digest: str
+    errors: str
+    honoured: float
+
+
+class BrokenPromiseError(AssertionError):
+    """A promise that was not kept."""
+
+
+def require(kept: bool, what: str) -> None:
+    """Raises `BrokenPromiseError` unless a promise was kept."""
+    if not kept:
+        raise BrokenPromiseError(what)
+
+
+def work(
+    kind: str, folder: Path, *arguments: str, kill_after: float | None = None, cache: Path | None = None
+) -> Ending:
+    """Runs one worker to its end, or kills it after some seconds; with a compilation cache of its own if given."""
+    began = time.monotonic()
+    command = [sys.executable, "-m", "reliability.worker", kind, str(folder), *arguments]
+    environment = os.environ | ({} if cache is None else {"UPSLOPE_CACHE": str(cache)})
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, cwd=ROOT
+    )
+    try:
+        output, errors = process.communicate(timeout=kill_after)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        output, errors = process.communicate()
+    sent = re.search(r"signalled at ([0-9.]+)", errors)
+    honoured = time.time() - float(sent[1]) if sent else 0.0
+    return Ending(process.returncode, time.monotonic() - began, output.strip(), errors.strip()[-2000:], honoured)
+
+
+def resume(kind: str, folder: Path, *arguments: str, kill_after: float | None = None) -> Ending:
+    """Goes on with a run; starts it where it had not come as far as to have a folder."""
+    there = (folder / "run.json").is_file()
+    return work(kind, folder, *(["--resume"] if there else []), *arguments, kill_after=kill_after)

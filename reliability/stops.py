@@ -1,0 +1,44 @@
+"""SIGTERM in each phase: honoured within ten seconds, resumable every time."""
+
+import random
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from reliability.processes import Ending, require, resume, work
+from reliability.worker import PHASES
+
+#: Seconds from the beginning of a phase within which the signal comes.
+WITHIN = {"starting": 0.2, "compiling": 4.0, "evaluating": 0.2, "running": 0.3, "saving": 0.01, "ending": 0.0}
+
+
+def in_each_phase(folder: Path, whole: Ending, times: int, seed: int) -> dict[str, Any]:
+    """Stops a DQN's run ``times`` times in each phase."""
+    generator = random.Random(seed)
+    cases = [(phase, number, generator.random() * WITHIN[phase]) for phase in PHASES for number in range(times)]
+
+    def one(case: tuple[str, int, float]) -> tuple[str, float]:
+        phase, number, delay = case
+        run = folder / f"stop-{phase}-{number}"
+        nth = str(1 if phase in ("starting", "compiling", "ending") else 2 + number % 3)
+        with tempfile.TemporaryDirectory() as empty:
+            # Compiling takes its full time only where nothing is cached.
+            cache = Path(empty) if phase == "compiling" else None
+            arguments = ("--at", phase, "--deed", "TERM", "--delay", str(delay), "--nth", nth)
+            ending = work("dqn", run, *arguments, cache=cache)
+        require(ending.code in (0, 143), f"SIGTERM while {phase} ended with {ending.code}: {ending.errors}")
+        require(ending.honoured < 10, f"SIGTERM while {phase} took {ending.honoured:.1f} seconds")
+        again = resume("dqn", run)
+        require(again.digest == whole.digest, f"SIGTERM while {phase} left a run that ends elsewhere: {again.errors}")
+        return phase, ending.honoured
+
+    with ThreadPoolExecutor(2) as pool:
+        done = list(pool.map(one, cases))
+    return {
+        "signals": len(cases),
+        "resumed_to_the_same_sha256": len(cases),
+        "longest_seconds_to_the_end": {
+            phase: round(max(seconds for name, seconds in done if name == phase), 1) for phase in PHASES
+        },
+    }

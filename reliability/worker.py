@@ -1,0 +1,131 @@
+"""A process to be killed: one small run with frequent checkpoints, which prints a digest of where it ended.
+
+``python -m reliability.worker KIND FOLDER [--resume] [--at PHASE --deed KILL|TERM --delay SECONDS --nth N]`` sends
+itself a signal in the N-th pass of a phase, some time after its beginning.
+"""
+
+import hashlib
+import itertools
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import tyro
+
+from upslope import storage
+from upslope.api import adapt, meta_train, train
+from upslope.networks import DuelingQ
+from upslope.prior import Prior, trained_on
+from upslope.recipes import MetaTrainingConfig
+from upslope.run import chunks
+from upslope.run.checkpoints import FORMAT_VERSION, KIND, Checkpoints
+from upslope.run.compiling import set_up_devices
+from upslope.run.folder import claimed
+from upslope.run.observers import EventLog
+from upslope.run.session import Session
+from upslope.run.signals import stop_requests
+from upslope.tasks import cartpoles
+
+KINDS = ("meta-training", "dqn", "ddpg", "adaptation")
+PHASES = ("starting", "compiling", "evaluating", "running", "saving", "ending")
+POLES, FORCES = cartpoles(), cartpoles(continuous=True)
+
+
+@dataclass(frozen=True)
+class Worker:
+    """What to run, and what to do to itself."""
+
+    kind: tyro.conf.Positional[Literal["meta-training", "dqn", "ddpg", "adaptation"]]
+    folder: tyro.conf.Positional[Path]
+    resume: bool = False
+    at: str | None = None
+    deed: Literal["KILL", "TERM"] = "KILL"
+    delay: float = 0.0
+    nth: int = 1
+
+
+def learn(kind: str, session: Session) -> None:
+    """Two to four seconds of learning once it is compiled."""
+    task = POLES.sample(jax.random.key(0))
+    if kind == "meta-training":
+        meta_train(POLES, config=MetaTrainingConfig(iterations=300, snapshot_every=20), session=session)
+    elif kind == "adaptation":
+        network = DuelingQ(jax.random.key(1), 4, 2)
+        adapt(Prior(network, trained_on(POLES, network, 0, {})), POLES, task, updates=100, session=session)
+    elif kind == "dqn":
+        train(POLES, task, updates=6000, every=500, session=session)
+    else:
+        train(FORCES, FORCES.sample(jax.random.key(0)), updates=4000, every=500, session=session)
+
+
+def digest(folder: Path) -> str:
+    """SHA-256 of the final state, reports and metrics; not of the times at which they were made."""
+    newest = max((folder / "checkpoints").rglob("*.safetensors"))
+    checksums = storage.read(newest, KIND, FORMAT_VERSION).checksums
+    del checksums["times"]
+    whole = hashlib.sha256(storage.content_digest(checksums).encode())
+    for line in next((folder / "logs").rglob("metrics.jsonl")).read_text().splitlines():
+        whole.update(line.split('"update"')[1].split(",")[0].encode())  # neither gaps nor duplicates
+    return whole.hexdigest()
+
+
+def sabotage(options: Worker) -> None:
+    """Wraps what marks the beginning of the phase."""
+    counter = itertools.count(1)
+
+    def reached() -> None:
+        if next(counter) == options.nth:
+            if options.delay:
+                threading.Timer(options.delay, do).start()
+            else:
+                do()
+
+    def do() -> None:
+        os.write(2, f"signalled at {time.time()}\n".encode())
+        os.kill(os.getpid(), getattr(signal, f"SIG{options.deed}"))
+
+    def before(module: Any, name: str, when: Callable[..., bool] = lambda *_, **__: True) -> None:
+        inner = getattr(module, name)
+
+        def wrapped(*args: Any, **kwargs: Any) -> Any:
+            if when(*args, **kwargs):
+                reached()
+            return inner(*args, **kwargs)
+
+        setattr(module, name, wrapped)
+
+    if options.at == "starting":
+        before(Checkpoints, "stage")
+    elif options.at == "compiling":
+        before(chunks, "start")
+    elif options.at == "evaluating":
+        before(chunks, "advance", lambda *_, report, **__: report)
+    elif options.at == "running":
+        before(chunks, "advance", lambda *_, report, **__: not report)
+    elif options.at == "saving":
+        before(storage, "write")
+    elif options.at == "ending":
+        before(EventLog, "end")
+    elif options.at is not None:
+        before(storage, "milestone", lambda name: name == options.at)
+
+
+def main() -> None:
+    """Runs it."""
+    options = tyro.cli(Worker)
+    set_up_devices()
+    sabotage(options)
+    with stop_requests(), claimed(options.folder, options.kind, resume=options.resume) as folder:
+        kept = Checkpoints(folder, every_seconds=0.2, resume=options.resume)
+        learn(options.kind, Session([EventLog(folder / "logs")], kept))
+    print(digest(options.folder), flush=True)
+
+
+if __name__ == "__main__":
+    main()
