@@ -1,19 +1,20 @@
 """Priors on disk: bit-identical, with their provenance; files that can't be trusted are refused by name."""
 
 import dataclasses
-import json
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from support.comparing import assert_trees_identical
+from upslope import storage
 from upslope.errors import UpslopeError
 from upslope.networks import DuelingQ
 from upslope.prior import Prior, TrainedOn, trained_on
+from upslope.prior_file import FORMAT, FORMAT_VERSION
 from upslope.tasks import cartpoles
 
 FAMILY = cartpoles(gamma=0.97)
@@ -21,6 +22,8 @@ SETTINGS = {"iterations": 7, "epsilon": [0.05, 0.95], "target_decay": None}
 NETWORK = DuelingQ(jax.random.key(0), 4, 2, (6, 5), FAMILY.observation_scale, "tanh")
 PRIOR = Prior(NETWORK, trained_on(FAMILY, NETWORK, 3, SETTINGS))
 OBS = jnp.array([[0.1, -0.2, 0.05, 1.0], [-1.0, 0.5, 0.1, 0.0]])
+
+GOLDEN_VALUES = [-0.5532793998718262, -0.5099821090698242]
 
 
 @pytest.fixture
@@ -34,24 +37,23 @@ def saved(path):
     return path
 
 
-def rewritten(path, *, tensors=None, header=None):
-    """The file with some tensors or header entries replaced; None takes one out."""
-    with safe_open(path, framework="numpy") as file:
-        entries = dict(file.metadata())
-        kept = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no mapping)
-    kept |= tensors or {}
-    entries |= header or {}
-    save_file(
-        {name: value for name, value in kept.items() if value is not None},
+def rewritten(path, *, tensors=None, header=None, version=FORMAT_VERSION):
+    """The file, honestly signed, with some tensors or header entries replaced; None takes one out."""
+    there = storage.read(path, FORMAT, FORMAT_VERSION)
+    kept, entries = there.arrays | (tensors or {}), there.header | (header or {})
+    storage.write(
         path,
-        metadata={name: value for name, value in entries.items() if value is not None},
+        FORMAT,
+        version,
+        {name: value for name, value in entries.items() if value is not None},
+        {name: value for name, value in kept.items() if value is not None},
     )
     return path
 
 
 def provenance(**changes):
-    """The header's JSON with some entries replaced."""
-    return {"trained_on": json.dumps(dataclasses.asdict(PRIOR.trained_on) | changes)}
+    """The header with some entries of the provenance replaced."""
+    return {"trained_on": dataclasses.asdict(PRIOR.trained_on) | changes}
 
 
 def refused(path, match=None):
@@ -130,23 +132,25 @@ class TestDamage:
         path.write_text("import torch  # some other file altogether, long enough to hold a header's length\n" * 3)
         refused(path, "damaged")
 
-    @pytest.mark.parametrize("metadata", [None, {"format": "pt"}])
-    def test_foreign(self, path, metadata):
+    @pytest.mark.parametrize(
+        ("metadata", "words"), [(None, "no file of upslope's"), ({"format": "pt"}, "no upslope-prior file, but 'pt'")]
+    )
+    def test_foreign(self, path, metadata, words):
         path.parent.mkdir()
         save_file({"weight": np.zeros(3, np.float32)}, path, metadata=metadata)
-        refused(path, "no upslope prior")
+        refused(path, words)
 
-    @pytest.mark.parametrize("version", ["2", "0", None])
+    @pytest.mark.parametrize("version", [0, 2])
     def test_other_format_versions(self, saved, version):
-        refused(rewritten(saved, header={"format_version": version}), "reads format 1")
+        refused(rewritten(saved, version=version), "reads format 1")
 
     @pytest.mark.parametrize(
         "header",
         [
             pytest.param({"trained_on": None}, id="none"),
-            pytest.param({"trained_on": "{"}, id="no JSON"),
-            pytest.param({"trained_on": "[]"}, id="no mapping"),
-            pytest.param({"trained_on": '{"family": "cartpole"}'}, id="entries missing"),
+            pytest.param({"trained_on": "text"}, id="text"),
+            pytest.param({"trained_on": []}, id="no mapping"),
+            pytest.param({"trained_on": {"family": "cartpole"}}, id="entries missing"),
             pytest.param(provenance(surprise=1), id="an unknown entry"),
             pytest.param(provenance(activation="sine"), id="an unknown activation"),
             pytest.param(provenance(hidden=[]), id="no hidden layers"),
@@ -220,3 +224,10 @@ class TestCheck:
         PRIOR.check(other)
         with pytest.raises(UpslopeError, match="number of actions is 2 in the prior and 3"):
             PRIOR.check(other, acting=True)
+
+
+def test_golden_prior_of_format_1():
+    """Written by the first version that signed its files; it must load for ever."""
+    golden = Prior.load(Path(__file__).parent / "golden" / "prior-format-1.safetensors")
+    assert golden.trained_on == dataclasses.replace(PRIOR.trained_on, version=golden.trained_on.version)
+    np.testing.assert_allclose(golden.values(OBS), GOLDEN_VALUES, rtol=1e-6)

@@ -1,9 +1,59 @@
 """upslope: meta-learned potentials that shape the reward of every new task of a family."""
 
-from upslope.api import adapt, meta_train, train
-from upslope.errors import UpslopeError
-from upslope.prior import Prior
-from upslope.recipes import MetaTrainingConfig
-from upslope.tasks import cartpoles
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["MetaTrainingConfig", "Prior", "UpslopeError", "adapt", "cartpoles", "meta_train", "train"]
+from upslope.envs.registration import register_environments
+
+if TYPE_CHECKING:
+    from upslope.api import adapt, meta_train, train
+    from upslope.errors import UpslopeError
+    from upslope.numpy_potential import NumpyPotential
+    from upslope.prior import Prior
+    from upslope.recipes import MetaTrainingConfig
+    from upslope.run.checkpoints import Checkpoints
+    from upslope.run.session import Session
+    from upslope.tasks import cartpoles
+    from upslope.wrappers import PotentialShaping
+
+# Imported when first asked for: a simulator process that only shapes rewards never imports JAX.
+_HOMES = {
+    "Checkpoints": "upslope.run.checkpoints",
+    "MetaTrainingConfig": "upslope.recipes",
+    "NumpyPotential": "upslope.numpy_potential",
+    "PotentialShaping": "upslope.wrappers",
+    "Prior": "upslope.prior",
+    "Session": "upslope.run.session",
+    "UpslopeError": "upslope.errors",
+    "adapt": "upslope.api",
+    "cartpoles": "upslope.tasks",
+    "meta_train": "upslope.api",
+    "train": "upslope.api",
+}
+
+__all__ = [
+    "Checkpoints",
+    "MetaTrainingConfig",
+    "NumpyPotential",
+    "PotentialShaping",
+    "Prior",
+    "Session",
+    "UpslopeError",
+    "adapt",
+    "cartpoles",
+    "meta_train",
+    "train",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'upslope' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+register_environments()

@@ -1,8 +1,6 @@
 """A prior: the meta-learned network together with what it was trained on; saved as one safetensors file."""
 
-import json
-import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -12,45 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
 from upslope.errors import UpslopeError
-from upslope.networks import ACTIVATIONS, Activation, DuelingQ
+from upslope.networks import DuelingQ
+from upslope.numpy_potential import NumpyPotential
+from upslope.prior_file import TrainedOn, read_prior_file, write_prior_file
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Observation, Scalar
-
-FORMAT = "upslope-prior"
-FORMAT_VERSION = 1
-
-
-@dataclass(frozen=True)
-class TrainedOn:
-    """What a prior was trained on; the JSON header of its file.
-
-    Attributes:
-        family: name of the state space.
-        gamma: γ of the tasks, and so of the potential.
-        observation_shape: of one observation.
-        observation_scale: what the network multiplies observations with.
-        actions: of the A head.
-        hidden: widths of the hidden layers.
-        activation: of the hidden layers.
-        seed: of the meta-training.
-        settings: of the meta-training, and what was measured at its end.
-        version: of upslope.
-    """
-
-    family: str
-    gamma: float
-    observation_shape: tuple[int, ...]
-    observation_scale: tuple[float, ...]
-    actions: int
-    hidden: tuple[int, ...]
-    activation: Activation
-    seed: int
-    settings: dict[str, Any] = field(default_factory=dict)
-    version: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,26 +64,19 @@ class Prior:
                     "Use a prior that was trained on these tasks, or make the tasks with the prior's settings."
                 )
 
+    def to_numpy(self) -> NumpyPotential:
+        """Φ = V_θ in plain numpy, for host processes: a few microseconds a call, and no JAX."""
+        tensors = {name: np.asarray(leaf) for name, leaf in _named_leaves(self.network)}
+        return NumpyPotential(self.trained_on, tensors)
+
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Writes one safetensors file: the parameters, and `TrainedOn` as its JSON header.
 
         Raises:
             UpslopeError: the file exists already or can't be written.
         """
-        path = Path(path)
-        if path.exists() and not overwrite:
-            raise UpslopeError(f"{path} exists already, and nothing is overwritten: give another file name.")
-        header = {
-            "format": FORMAT,
-            "format_version": str(FORMAT_VERSION),
-            "trained_on": json.dumps(asdict(self.trained_on)),
-        }
         tensors = {name: np.asarray(leaf) for name, leaf in _named_leaves(self.network)}
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            save_file(tensors, path, metadata=header)
-        except OSError as error:
-            raise UpslopeError(f"{path} can't be written ({error}): give another file name.") from error
+        write_prior_file(Path(path), self.trained_on, tensors, overwrite=overwrite)
 
     @classmethod
     def load(cls, path: str | Path) -> "Prior":
@@ -126,16 +85,8 @@ class Prior:
         Raises:
             UpslopeError: a missing, damaged, foreign or newer file, or one with non-finite parameters.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise UpslopeError(f"There is no prior at {path}: give the file that `upslope meta-train` wrote.")
-        try:
-            with safe_open(path, framework="numpy") as file:
-                trained_on = _read_header(path, file.metadata() or {})
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no mapping)
-        except (SafetensorError, OSError) as error:
-            raise UpslopeError(f"{path} is damaged or no safetensors file ({error}): make the prior again.") from error
-        return cls(_fill(path, trained_on, tensors), trained_on)
+        trained_on, tensors = read_prior_file(Path(path))
+        return cls(_fill(trained_on, tensors), trained_on)
 
 
 def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: dict[str, Any]) -> TrainedOn:
@@ -154,40 +105,7 @@ def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: d
     )
 
 
-def _read_header(path: Path, metadata: dict[str, str]) -> TrainedOn:
-    if metadata.get("format") != FORMAT:
-        raise UpslopeError(f"{path} is a safetensors file, but no upslope prior: give one that `Prior.save` wrote.")
-    if metadata.get("format_version") != str(FORMAT_VERSION):
-        raise UpslopeError(
-            f"{path} has format {metadata.get('format_version')}, but this upslope reads format {FORMAT_VERSION}: "
-            "install the version of upslope that wrote it."
-        )
-    try:
-        entries = json.loads(metadata["trained_on"])
-        for name in ("observation_shape", "observation_scale", "hidden"):
-            entries[name] = tuple(entries[name])
-        trained_on = TrainedOn(**entries)
-        _check_header(trained_on)
-        return trained_on
-    except (KeyError, TypeError, ValueError) as error:
-        raise UpslopeError(f"{path} has a damaged header ({error}): make the prior again.") from error
-
-
-def _check_header(trained_on: TrainedOn) -> None:
-    """Raises ValueError where the header's entries make no network or no discount."""
-    shape, scale, gamma = trained_on.observation_shape, trained_on.observation_scale, trained_on.gamma
-    sizes = (*shape, *trained_on.hidden, trained_on.actions)
-    if not (len(shape) == 1 and trained_on.hidden and all(isinstance(size, int) and size > 0 for size in sizes)):
-        raise ValueError("its sizes make no network")
-    if len(scale) != shape[0] or not all(isinstance(factor, int | float) and math.isfinite(factor) for factor in scale):
-        raise ValueError("its scales do not fit the observations")
-    if trained_on.activation not in ACTIVATIONS:
-        raise ValueError(f"activation {trained_on.activation!r} is unknown")
-    if not (isinstance(gamma, int | float) and 0 < gamma <= 1):
-        raise ValueError(f"gamma {gamma!r} is no discount")
-
-
-def _fill(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> DuelingQ:
+def _fill(trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> DuelingQ:
     """A network of the header's sizes with the file's parameters."""
     skeleton = eqx.filter_eval_shape(
         DuelingQ,
@@ -198,20 +116,7 @@ def _fill(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> 
         trained_on.observation_scale,
         trained_on.activation,
     )
-    names = [name for name, _ in _named_leaves(skeleton)]
-    if sorted(names) != sorted(tensors):
-        raise UpslopeError(f"{path} holds other tensors than its header announces: make the prior again.")
-    leaves = []
-    for name, shape in _named_leaves(skeleton):
-        tensor = tensors[name]
-        if tensor.shape != shape.shape or tensor.dtype != shape.dtype:
-            raise UpslopeError(
-                f"{path}: {name} is {tensor.dtype}{list(tensor.shape)}, but the header announces "
-                f"{shape.dtype}{list(shape.shape)}: make the prior again."
-            )
-        if not np.isfinite(tensor).all():
-            raise UpslopeError(f"{path}: {name} holds numbers that are not finite: make the prior again.")
-        leaves.append(jnp.asarray(tensor))
+    leaves = [jnp.asarray(tensors[name]) for name, _ in _named_leaves(skeleton)]
     return jax.tree.unflatten(jax.tree.structure(skeleton), leaves)
 
 

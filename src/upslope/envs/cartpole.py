@@ -115,18 +115,21 @@ class CartPole:
 
 def euler_step(physics: Float[Array, "4"], force: Scalar, params: CartPoleParams) -> Float[Array, "4"]:
     """Gymnasium's explicit Euler step of the cart and the pole, with every mass derived from the length."""
+    angle = physics[2]
+    return jnp.stack(euler_equations(tuple(physics), force, jnp.cos(angle), jnp.sin(angle), params))
+
+
+def euler_equations(physics: tuple, force: Any, cosine: Any, sine: Any, params: Any) -> list:
+    """The equations of `euler_step` on four numbers: arithmetic only, so that plain floats do as well as arrays."""
     position, velocity, angle, angular_velocity = physics
-    cosine, sine = jnp.cos(angle), jnp.sin(angle)
     pole_moment = params.pole_mass * params.half_length
     pushed = (force + pole_moment * angular_velocity**2 * sine) / params.total_mass
     inertia = params.half_length * (4.0 / 3.0 - params.pole_mass * cosine**2 / params.total_mass)
     angular_acceleration = (params.gravity * sine - cosine * pushed) / inertia
     acceleration = pushed - pole_moment * angular_acceleration * cosine / params.total_mass
-    return jnp.stack(
-        [
-            position + params.time_step * velocity,
-            velocity + params.time_step * acceleration,
-            angle + params.time_step * angular_velocity,
-            angular_velocity + params.time_step * angular_acceleration,
-        ]
-    )
+    return [
+        position + params.time_step * velocity,
+        velocity + params.time_step * acceleration,
+        angle + params.time_step * angular_velocity,
+        angular_velocity + params.time_step * angular_acceleration,
+    ]

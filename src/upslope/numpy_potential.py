@@ -1,0 +1,91 @@
+"""A prior's potential in plain numpy: what a simulator process evaluates at every step. Needs no JAX."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from upslope.prior_file import TrainedOn, read_prior_file
+
+
+class NumpyPotential:
+    """Φ(s) = V_θ(s) of a saved prior, in float64; one observation costs a few microseconds.
+
+    Immutable, compared by value, and small: copies and pickles hold the parameters and nothing else.
+
+    Attributes:
+        trained_on: what the prior was trained on.
+    """
+
+    def __init__(self, trained_on: TrainedOn, tensors: dict[str, np.ndarray]):
+        """Takes the tensors of a prior's file by their names; `Prior.to_numpy` and `load` call this."""
+        self.trained_on = trained_on
+        self._tensors = tensors
+        self._prepare()
+
+    @classmethod
+    def load(cls, path: str | Path) -> "NumpyPotential":
+        """Reads a file that `Prior.save` wrote.
+
+        Raises:
+            UpslopeError: a missing, damaged, foreign or newer file, or one with non-finite parameters.
+        """
+        return cls(*read_prior_file(Path(path)))
+
+    @property
+    def gamma(self) -> float:
+        """γ that the potential was learned with, and that shaping by it needs."""
+        return self.trained_on.gamma
+
+    def __call__(self, obs: Float[np.ndarray, "*obs"]) -> float:
+        """Φ of one observation."""
+        features = obs
+        # The vector form of `values`: without the batch axis numpy's calls cost half as much.
+        for weight, bias in self._layers:
+            features = weight.dot(features)
+            features += bias
+            self._activate(features, features)
+        return float(self._head.dot(features)) + self._head_bias
+
+    def values(self, obs: Float[np.ndarray, "n *obs"]) -> Float[np.ndarray, "n"]:
+        """Φ of a batch of observations."""
+        features = np.asarray(obs, np.float64)
+        for weight, bias in self._layers:
+            features = features @ weight.T
+            features += bias
+            self._activate(features, features)
+        return features @ self._head + self._head_bias
+
+    def _prepare(self) -> None:
+        tensors = {name: tensor.astype(np.float64) for name, tensor in self._tensors.items()}
+        names = [f"torso.layers.{i}" for i in range(len(self.trained_on.hidden))]
+        layers = [(tensors[f"{name}.weight"], tensors[f"{name}.bias"]) for name in names]
+        # The fixed scale of the inputs goes into the first layer's weights.
+        first, bias = layers[0]
+        self._layers = [(first * np.asarray(self.trained_on.observation_scale), bias), *layers[1:]]
+        self._head = tensors["value_head.weight"][0]
+        self._head_bias = float(tensors["value_head.bias"][0])
+        self._activate = np.tanh if self.trained_on.activation == "tanh" else _relu
+
+    def __getstate__(self) -> dict:
+        return {"trained_on": self.trained_on, "_tensors": self._tensors}
+
+    def __setstate__(self, state: dict) -> None:
+        self.__dict__.update(state)
+        self._prepare()
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, NumpyPotential):
+            return NotImplemented
+        same = self._tensors.keys() == other._tensors.keys() and self.trained_on == other.trained_on
+        return same and all(np.array_equal(ours, other._tensors[name]) for name, ours in self._tensors.items())
+
+    def __hash__(self) -> int:
+        return hash(tuple((name, tensor.tobytes()) for name, tensor in sorted(self._tensors.items())))
+
+    def __repr__(self) -> str:
+        return f"NumpyPotential(family={self.trained_on.family!r}, gamma={self.gamma}, seed={self.trained_on.seed})"
+
+
+def _relu(features: np.ndarray, out: np.ndarray) -> np.ndarray:
+    return np.maximum(features, 0.0, out=out)

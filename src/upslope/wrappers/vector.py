@@ -1,0 +1,198 @@
+"""The vector twin of `upslope.wrappers.PotentialShaping`, under all three autoreset modes."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import AutoresetMode
+from jaxtyping import Bool, Float
+
+from upslope.errors import UpslopeError
+from upslope.wrappers.evaluation import Evaluator
+from upslope.wrappers.terms import Terms
+
+#: What a pipe to a dead worker raises.
+WORKER_DIED = (EOFError, BrokenPipeError, ConnectionResetError)
+
+
+class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
+    """R' = R + F for every sub-environment; the single wrapper's documentation holds here too.
+
+    The true successor of a step is the observation returned, but for `AutoresetMode.SAME_STEP`: there it is
+    ``infos["final_obs"]``. The dummy step that resets under `AutoresetMode.NEXT_STEP` is no transition: F is 0 there.
+
+    Attributes:
+        enabled: the switch; it takes effect at each sub-environment's next reset.
+        invariance: what the settings keep of policy invariance, in a sentence.
+    """
+
+    def __init__(
+        self,
+        env: gym.vector.VectorEnv | Any,
+        potential: Any,
+        gamma: float,
+        *,
+        scale: float = 1.0,
+        bias: float = 0.0,
+        enabled: bool = True,
+        anneal_steps: int | None = None,
+    ):
+        """Wraps a vector environment; see the single wrapper for the arguments.
+
+        Args:
+            env: any vector environment that says how it resets in ``metadata["autoreset_mode"]``.
+            potential: Φ.
+            gamma: γ, the learner's own.
+            scale: Φ is multiplied by it.
+            bias: is added to Φ, in units of return.
+            enabled: the switch.
+            anneal_steps: the shaping's weight falls linearly to zero over so many steps of every sub-environment.
+
+        Raises:
+            UpslopeError: no vector environment, an unknown autoreset mode, no potential, a prior for other
+                observations or with another γ.
+        """
+        RecordConstructorArgs.__init__(
+            self,
+            potential=potential,
+            gamma=gamma,
+            scale=scale,
+            bias=bias,
+            enabled=enabled,
+            anneal_steps=anneal_steps,
+        )
+        if not isinstance(env, gym.vector.VectorEnv):
+            raise UpslopeError(
+                f"{type(env).__name__} is no Gymnasium vector environment: for single environments there is "
+                "upslope.PotentialShaping, and upslope.wrappers.sb3 for those of Stable-Baselines3."
+            )
+        gym.vector.VectorWrapper.__init__(self, env)
+        self._mode = _autoreset_mode(env)
+        self.enabled = enabled
+        self._evaluator = Evaluator(potential, env.single_observation_space)
+        self._terms = Terms(self._evaluator.potential, gamma, scale, bias, anneal_steps)
+        self._steps = 0
+        self._active = np.full(self.num_envs, enabled)
+        self._potentials: Float[np.ndarray, n] | None = None
+        self._resetting = np.zeros(self.num_envs, bool)
+
+    @property
+    def gamma(self) -> float:
+        """γ that F is computed with; the learner must use the same."""
+        return self._terms.gamma
+
+    @property
+    def invariance(self) -> str:
+        return self._terms.invariance
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Resets all sub-environments, or those of ``options["reset_mask"]``."""
+        # The mask is copied: Gymnasium takes it out of the options.
+        fresh = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
+        obs, infos = _alive(lambda: self.env.reset(seed=seed, options=options))
+        self._active = np.where(fresh, self.enabled, self._active)
+        previous = np.zeros(self.num_envs) if self._potentials is None else self._potentials
+        self._potentials = np.where(fresh, self._counted(obs), previous)
+        self._resetting = self._resetting & ~fresh
+        none = np.zeros(self.num_envs)
+        told = self._told(infos, none, none, self._potentials)
+        return obs, {name: value for name, value in told.items() if not name.endswith("raw_reward")}
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """One step of each, the rewards shaped.
+
+        Raises:
+            UpslopeError: before the first reset, a hidden final observation, a worker that died, or where Φ fails.
+        """
+        if self._potentials is None:
+            raise UpslopeError("step was called before reset: reset the vector environment first.")
+        obs, rewards, terminated, truncated, infos = _alive(lambda: self.env.step(actions))
+        rewards = np.asarray(rewards, np.float64)
+        done = np.logical_or(terminated, truncated)
+        self._steps += 1
+        starting = self._resetting if self._mode is AutoresetMode.NEXT_STEP else np.zeros_like(done)
+        levels = self._levels(obs)
+        following = self._weights() * self._true_successors(levels, done & ~np.asarray(terminated), done, infos)
+        following = np.where(terminated, 0.0, following)
+        added = np.where(starting, 0.0, self._terms.gamma * following - self._potentials)
+        fresh = done if self._mode is AutoresetMode.SAME_STEP else starting
+        self._active = np.where(fresh, self.enabled, self._active)
+        self._potentials = self._weights() * levels
+        self._resetting = done
+        counted = np.where(starting, self._potentials, following)
+        return obs, rewards + added, terminated, truncated, self._told(infos, rewards, added, counted)
+
+    def _told(self, infos: dict[str, Any], rewards: np.ndarray, added: np.ndarray, counted: np.ndarray) -> dict:
+        count = self.num_envs
+        values = {
+            "raw_reward": _from_inside(infos, "raw_reward", rewards, count),
+            "shaping_reward": added + _from_inside(infos, "shaping_reward", 0.0, count),
+            "potential": counted + _from_inside(infos, "potential", 0.0, count),
+        }
+        return infos | values | {f"_{name}": np.ones(count, bool) for name in values}
+
+    def _true_successors(
+        self,
+        levels: Float[np.ndarray, "n"],
+        truncated: Bool[np.ndarray, "n"],
+        done: Bool[np.ndarray, "n"],
+        infos: dict[str, Any],
+    ) -> Float[np.ndarray, "n"]:
+        """Φ of the true successors, where they count: reset observations are not used for it."""
+        if self._mode is not AutoresetMode.SAME_STEP or not done.any():
+            return levels
+        finals = infos.get("final_obs")
+        if finals is None or any(finals[i] is None for i in np.flatnonzero(done)):
+            raise UpslopeError(
+                "The vector environment resets in the same step but hides the final observation: it must give it in "
+                'infos["final_obs"], or use AutoresetMode.NEXT_STEP.'
+            )
+        levels = levels.copy()
+        levels[truncated] = self._terms.bias + self._terms.scale * self._evaluator.several(
+            [finals[i] for i in np.flatnonzero(truncated)]
+        )
+        return levels
+
+    def _levels(self, obs: Any) -> Float[np.ndarray, "n"]:
+        """Bias + scale·Φ of a batch; zeros where nothing is shaped at all."""
+        if not (self._active.any() or self.enabled) or not self._terms.weight(self._steps):
+            return np.zeros(self.num_envs)
+        return self._terms.bias + self._terms.scale * self._evaluator.many(obs, self.num_envs)
+
+    def _weights(self) -> Float[np.ndarray, "n"]:
+        return self._active * self._terms.weight(self._steps)
+
+    def _counted(self, obs: Any) -> Float[np.ndarray, "n"]:
+        return self._weights() * self._levels(obs)
+
+
+def _autoreset_mode(env: gym.vector.VectorEnv) -> AutoresetMode:
+    mode = env.metadata.get("autoreset_mode")
+    try:
+        return AutoresetMode(mode)
+    except ValueError as error:
+        raise UpslopeError(
+            f"The vector environment does not say how it resets (metadata['autoreset_mode'] is {mode!r}): "
+            "set it to one of gymnasium.vector.AutoresetMode."
+        ) from error
+
+
+def _alive(call: Any) -> Any:
+    try:
+        return call()
+    except WORKER_DIED as error:
+        raise UpslopeError(
+            f"A worker process of the vector environment died ({type(error).__name__}): run the environment alone "
+            "in a SyncVectorEnv to see why; running out of memory is the usual cause."
+        ) from error
+
+
+def _from_inside(infos: dict[str, Any], key: str, otherwise: Any, count: int) -> Float[np.ndarray, "n"]:
+    """What a shaping inside reported, for each sub-environment: with a same-step reset it stands in final_info."""
+    values = np.broadcast_to(np.asarray(otherwise, np.float64), (count,)).copy()
+    for source in (infos, infos.get("final_info") or {}):
+        if "shaping_reward" in source and key in source:
+            there = source[f"_{key}"]
+            values[there] = np.asarray(source[key], np.float64)[there]
+    return values
