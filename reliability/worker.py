@@ -8,6 +8,7 @@ import hashlib
 import itertools
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -20,6 +21,7 @@ import tyro
 
 from upslope import storage
 from upslope.api import adapt, meta_train, train
+from upslope.errors import InterruptedRunError
 from upslope.networks import DuelingQ
 from upslope.prior import Prior, trained_on
 from upslope.recipes import MetaTrainingConfig
@@ -54,10 +56,10 @@ def learn(kind: str, session: Session) -> None:
     """Two to four seconds of learning once it is compiled."""
     task = POLES.sample(jax.random.key(0))
     if kind == "meta-training":
-        meta_train(POLES, config=MetaTrainingConfig(iterations=300, snapshot_every=20), session=session)
+        meta_train(POLES, config=MetaTrainingConfig(iterations=150, snapshot_every=15), session=session)
     elif kind == "adaptation":
         network = DuelingQ(jax.random.key(1), 4, 2)
-        adapt(Prior(network, trained_on(POLES, network, 0, {})), POLES, task, updates=100, session=session)
+        adapt(Prior(network, trained_on(POLES, network, 0, {})), POLES, task, updates=40, session=session)
     elif kind == "dqn":
         train(POLES, task, updates=6000, every=500, session=session)
     else:
@@ -121,9 +123,12 @@ def main() -> None:
     options = tyro.cli(Worker)
     set_up_devices()
     sabotage(options)
-    with stop_requests(), claimed(options.folder, options.kind, resume=options.resume) as folder:
-        kept = Checkpoints(folder, every_seconds=0.2, resume=options.resume)
-        learn(options.kind, Session([EventLog(folder / "logs")], kept))
+    try:
+        with stop_requests(), claimed(options.folder, options.kind, resume=options.resume) as folder:
+            kept = Checkpoints(folder, every_seconds=0.2, resume=options.resume)
+            learn(options.kind, Session([EventLog(folder / "logs")], kept))
+    except InterruptedRunError as stop:
+        sys.exit(128 + stop.signal)
     print(digest(options.folder), flush=True)
 
 
