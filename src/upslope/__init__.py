@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from upslope.run.checkpoints import Checkpoints
     from upslope.run.session import Session
     from upslope.tasks import cartpoles
-    from upslope.wrappers import PotentialShaping
+    from upslope.wrappers import PotentialShaping, check_shaping
 
 # Imported when first asked for: a simulator process that only shapes rewards never imports JAX.
 _HOMES = {
@@ -27,6 +27,7 @@ _HOMES = {
     "UpslopeError": "upslope.errors",
     "adapt": "upslope.api",
     "cartpoles": "upslope.tasks",
+    "check_shaping": "upslope.wrappers",
     "meta_train": "upslope.api",
     "train": "upslope.api",
 }
@@ -41,6 +42,7 @@ __all__ = [
     "UpslopeError",
     "adapt",
     "cartpoles",
+    "check_shaping",
     "meta_train",
     "train",
 ]

@@ -1,10 +1,11 @@
-"""The command line: upslope reproduce, meta-train, train, adapt."""
+"""The command line: upslope reproduce, meta-train, train, adapt, check."""
 
 import sys
 from typing import Annotated
 
 import tyro
 
+from upslope.checking_command import Check
 from upslope.commands import Adapt, MetaTrain, Reproduce, Train
 from upslope.errors import InterruptedRunError, UpslopeError
 from upslope.run.compiling import set_up_devices
@@ -15,6 +16,7 @@ Command = (
     | Annotated[MetaTrain, tyro.conf.subcommand("meta-train")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Adapt, tyro.conf.subcommand("adapt")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
 )
 
 

@@ -1,5 +1,6 @@
 """Shaping for environments of any library that speaks Gymnasium. `upslope.wrappers.vector` has the vector twin."""
 
+from upslope.wrappers.checking import ShapingReport, check_shaping
 from upslope.wrappers.potential_shaping import PotentialShaping
 
-__all__ = ["PotentialShaping"]
+__all__ = ["PotentialShaping", "ShapingReport", "check_shaping"]
