@@ -12,7 +12,7 @@ from upslope.experiments.theorem_maps import TOLERANCE, Maps, for_each, known
 from upslope.measures import success
 from upslope.planning import Solution, TabularMDP, best_actions, value_iteration
 from upslope.shaping import shaped_optimum
-from upslope.tasks.grid_potentials import manhattan_values
+from upslope.tasks.grid_potentials import manhattan_distance
 from upslope.types import Key
 
 #: Wrong γ in F, beside the task's 0.9.
@@ -21,7 +21,7 @@ OTHER_GAMMA = 0.99
 #: Where R + F is clipped, in the variant that clips.
 CLIP = 0.05
 
-POTENTIALS = ("random, 0.1", "random, 1", "Manhattan")
+POTENTIALS = ("random, 0.1", "random, 1", "distance")
 ADDED = (
     "F = γΦ(s′) − Φ(s)",
     "Φ(terminal) not zeroed",
@@ -58,7 +58,7 @@ def policy_invariance(maps: Maps, seed: int) -> dict[str, dict[str, dict[str, fl
 def _one_map(maps: Maps, params: Any, key: Key) -> tuple[Array, Array, Array]:
     truth = known(maps, params)
     noise = jax.random.normal(key, (maps.env.cells,))
-    potentials = jnp.stack([0.1 * noise, noise, manhattan_values(maps.env, params, maps.gamma)])
+    potentials = jnp.stack([0.1 * noise, noise, -0.1 * manhattan_distance(maps.env, params)])
     original = best_actions(truth.solution.action_value, tolerance=10 * TOLERANCE)
 
     def compare(mdp: TabularMDP, potential: Float[Array, "states"]) -> tuple[Array, Array, Array]:

@@ -43,7 +43,9 @@ def draw_maps(family: JaxTasks, count: int, seed: int) -> Maps:
     """Maps of one kind; call it in single precision, so that they are the maps that learners see."""
     params = jax.jit(lambda key: family.sample_many(key, count))(key_for(seed, Purpose.TEST_TASKS))
     with jax.enable_x64(True):
-        params = jax.tree.map(lambda leaf: leaf.astype(float) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf, params)
+        params = jax.tree.map(
+            lambda leaf: leaf.astype(float) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf, params
+        )
     return Maps(family.env, params, family.gamma)
 
 

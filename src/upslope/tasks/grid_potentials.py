@@ -5,7 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from upslope.envs.grid import POSITION, GridParams
 from upslope.planning import solve_all
@@ -42,8 +42,13 @@ def manhattan_potential(family: JaxTasks, maps: GridParams) -> CellPotential:
 
 def manhattan_values(env: Any, params: GridParams, gamma: float) -> Float[Array, "cells"]:
     """γ^(d − 1) with d rows and columns to go, in every cell of one map; 0 at the goal, as V* is."""
+    steps = manhattan_distance(env, params)
+    return jnp.where(steps > 0, jnp.asarray(gamma) ** (steps - 1), 0.0)
+
+
+def manhattan_distance(env: Any, params: GridParams) -> Int[Array, "cells"]:
+    """Rows and columns from every cell of one map to the goal."""
     cells = jnp.arange(env.cells)
     rows = jnp.abs(cells // env.width - params.goal // env.width)
     columns = jnp.abs(cells % env.width - params.goal % env.width)
-    steps = rows + columns
-    return jnp.where(steps > 0, jnp.asarray(gamma) ** (steps - 1), 0.0)
+    return rows + columns
