@@ -35,7 +35,7 @@ def at_random_moments(folder: Path, wholes: dict[str, Ending], count: int, seed:
         whole, kills, ended, number = wholes[kind], 0, 0, 0
         while kills < share[index]:
             run = folder / f"{kind}-{number}"
-            ending = resume(kind, run, kill_after=generator.uniform(0.2, 1.05) * whole.seconds)
+            ending = resume(kind, run, kill_after=generator.uniform(0.1, 0.8) * whole.seconds)
             if ending.code == 0:
                 require(ending.digest == whole.digest, f"{kind} in {run} ended elsewhere after {kills} kills")
                 ended, number = ended + 1, number + 1

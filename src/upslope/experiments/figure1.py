@@ -75,10 +75,10 @@ def quick(config: Figure1Config) -> Figure1Config:
         config,
         seeds=2,
         tasks=10,
-        dqn_updates=400,
-        ddpg_updates=600,
+        dqn_updates=300,
+        ddpg_updates=400,
         oracle=replace(config.oracle, iterations=100),
-        panel=replace(config.panel, stops=(100, 150, 500), updates=10),
+        panel=replace(config.panel, stops=(100, 150, 500), updates=8),
     )
 
 
