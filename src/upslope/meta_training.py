@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from upslope.learner import AbstractLearner
 from upslope.losses import prior_learning_loss, td_loss
-from upslope.maml import meta_loss
+from upslope.maml import adapt, gradient_task_by_task
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.recipes import MetaTrainingConfig
@@ -56,7 +56,7 @@ class MetaTraining(AbstractLearner):
         family, config = self.family, self.config
         theta = DuelingQ(
             network_key,
-            family.observation_shape[0],
+            family.observation_shape,
             family.actions,
             config.hidden,
             family.observation_scale,
@@ -71,7 +71,7 @@ class MetaTraining(AbstractLearner):
         def update(carry: tuple[DuelingQ, Any], key: Key) -> tuple[tuple[DuelingQ, Any], Scalar]:
             theta, optimiser = carry
             samples = self.draw(key, experience, state.target)
-            loss, gradient = jax.value_and_grad(self.outer_loss)(theta, samples)
+            loss, gradient = self.outer_gradient(theta, samples)
             change, optimiser = self._optimiser().update(gradient, optimiser)
             return (optax.apply_updates(theta, change), optimiser), loss
 
@@ -102,17 +102,28 @@ class MetaTraining(AbstractLearner):
             return TaskSamples(batch, None)
         return TaskSamples(batch, jax.vmap(jax.vmap(target))(batch.next_obs))
 
+    def outer_gradient(self, theta: DuelingQ, samples: TaskSamples) -> tuple[Scalar, DuelingQ]:
+        """The outer loss and its gradient, all tasks at once or one after the other."""
+        if self.config.task_by_task:
+            return gradient_task_by_task(self.task_outer_loss, theta, samples)
+        return jax.value_and_grad(self.outer_loss)(theta, samples)
+
     def outer_loss(self, theta: DuelingQ, samples: TaskSamples) -> Scalar:
-        """Eq. 7 over tasks, with each φ_i adapted from θ by Eq. 2 on the TD error of Eq. 5."""
-        return meta_loss(
+        """Mean of `task_outer_loss` over tasks."""
+        return jnp.mean(jax.vmap(lambda task: self.task_outer_loss(theta, task))(samples))
+
+    def task_outer_loss(self, theta: DuelingQ, samples: TaskSamples) -> Scalar:
+        """Eq. 7 for one task, with φ_i adapted from θ by Eq. 2 on the TD error of Eq. 5."""
+        config = self.config
+        phi = adapt(
             self.task_td_loss,
-            self.distance_to_posterior,
             theta,
             samples,
-            step_size=self.config.inner_step_size,
-            steps=self.config.inner_steps,
-            first_order=self.config.first_order,
+            step_size=config.inner_step_size,
+            steps=config.inner_steps,
+            first_order=config.first_order,
         )
+        return self.distance_to_posterior(theta, phi, samples)
 
     def task_td_loss(self, network: DuelingQ, samples: TaskSamples) -> Scalar:
         """Mean of Eq. 5 over one task's batch."""
