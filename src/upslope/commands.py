@@ -18,7 +18,7 @@ from upslope.prior import Prior
 from upslope.recipes import MetaTrainingConfig, as_printed
 from upslope.run.folder import claim
 from upslope.run.observers import EventLog, Observer, ProgressBar
-from upslope.tasks import FAMILIES, JaxTasks
+from upslope.tasks import FAMILIES, JaxTasks, cartpoles
 from upslope.types import Task
 
 AGENTS = {"dqn": False, "ddpg": True}
@@ -71,7 +71,9 @@ class Poles:
     def family(self, name: str, *, continuous: bool = False) -> JaxTasks:
         if name not in FAMILIES:
             raise UpslopeError(f"There is no family {name!r}: choose one of {', '.join(FAMILIES)}.")
-        return FAMILIES[name](
+        if FAMILIES[name] is not cartpoles:
+            raise UpslopeError(f"This command knows the family cartpole only; use {name} from Python so far.")
+        return cartpoles(
             self.length,
             continuous=continuous,
             half_length=self.half_length,

@@ -1,0 +1,173 @@
+"""The families of grid games (Sec. 5.2): clean maps, maps with obstacles, and any others."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from upslope.envs.grid import GridGame, GridParams
+from upslope.errors import UpslopeError
+from upslope.tasks.grid_maps import HeldOut, RandomMaps, Split
+from upslope.tasks.jax_tasks import JaxTasks
+from upslope.types import Key
+
+CLEAN_TRAINING_MAPS = 800
+OBSTACLE_TRAINING_MAPS = 4000
+
+
+class FixedMaps(eqx.Module):
+    """Draws from a fixed set of maps, each as likely as the others."""
+
+    maps: GridParams
+
+    def __call__(self, key: Key) -> GridParams:
+        chosen = jax.random.randint(key, (), 0, self.maps.start.shape[0])
+        return jax.tree.map(lambda leaf: leaf[chosen], self.maps)
+
+
+def grid_games(
+    size: tuple[int, int] = (8, 8),
+    *,
+    obstacles: float = 0.2,
+    traps: float = 0.0,
+    trap_penalty: float = 1.0,
+    slip: float = 0.0,
+    gamma: float = 0.9,
+    max_steps: int = 50,
+    split: Split = "all",
+    held_out: HeldOut = "maps",
+    maps: int | None = None,
+    maps_seed: int = 0,
+    flat: bool = False,
+) -> JaxTasks:
+    """A p(T) over grid games; every goal can be reached (`upslope.tasks.grid_maps` says how).
+
+    Args:
+        size: rows and columns.
+        obstacles: probability that a cell is an obstacle.
+        traps: probability that a cell that is no obstacle is a trap; above 0 observations have a channel for them.
+        trap_penalty: what entering a trap costs.
+        slip: probability that a move goes to one of its two sides instead.
+        gamma: γ, of every task and of every potential learned here.
+        max_steps: truncation.
+        split: "train" and "test" share no map.
+        held_out: "maps", or "goals": no test goal is in a cell in which a training goal is.
+        maps: a fixed set of so many distinct maps; None draws without end.
+        maps_seed: of the fixed set.
+        flat: observations as vectors instead of ``[height, width, channels]``.
+
+    Raises:
+        UpslopeError: settings that make no game, or more maps than there are.
+    """
+    _check(size, obstacles, traps, trap_penalty, slip, gamma, max_steps, split, held_out, maps)
+    height, width = size
+    env = GridGame(height, width, traps=traps > 0, slippery=slip > 0, flat=flat)
+    sampler = RandomMaps(height, width, obstacles, traps, trap_penalty, slip, max_steps, split, held_out)
+    family = JaxTasks(
+        name="grid",
+        env=env,
+        sample_params=sampler,
+        gamma=gamma,
+        observation_shape=env.observation_shape,
+        observation_scale=(1.0,) * env.observation_shape[-1],
+        actions=env.actions,
+        continuous=False,
+        max_steps=max_steps,
+    )
+    if maps is None:
+        return family
+    return replace(family, sample_params=FixedMaps(distinct_maps(family, maps, maps_seed)))
+
+
+def clean_maps(split: Split = "all", *, held_out: HeldOut = "maps", gamma: float = 0.9) -> JaxTasks:
+    """The paper's 10 × 10 maps without obstacles; for training a fixed set of 800.
+
+    There are only 100 goals, so most goals of unseen maps are known from training: "goals" holds those out too.
+    """
+    maps = CLEAN_TRAINING_MAPS if split == "train" else None
+    return grid_games((10, 10), obstacles=0.0, gamma=gamma, split=split, held_out=held_out, maps=maps)
+
+
+def obstacle_maps(split: Split = "all", *, gamma: float = 0.9) -> JaxTasks:
+    """The paper's 8 × 8 maps on which each cell is an obstacle with probability 0.2; for training a fixed 4,000."""
+    return grid_games(gamma=gamma, split=split, maps=OBSTACLE_TRAINING_MAPS if split == "train" else None)
+
+
+def distinct_maps(family: JaxTasks, count: int, seed: int = 0) -> GridParams:
+    """So many maps of a family, no two alike, as one stacked PyTree ``[count, ...]``; the same ones for a seed.
+
+    Raises:
+        UpslopeError: the family has too few.
+    """
+    key = jax.random.key(seed)
+    at_once = max(count + count // 4, 256)
+    found = _unique(_draw_many(family, key, at_once))
+    for attempt in range(1, _ATTEMPTS):
+        if len(found.start) >= count:
+            break
+        drawn = _draw_many(family, jax.random.fold_in(key, attempt), at_once)
+        found = _unique(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), found, drawn))
+    if len(found.start) < count:
+        raise UpslopeError(
+            f"Only {len(found.start)} distinct maps were found where {count} were asked for: ask for fewer maps."
+        )
+    return jax.tree.map(lambda leaf: leaf[:count], found)
+
+
+#: Draws of a good count each; where these find too few, there are hardly more.
+_ATTEMPTS = 20
+
+#: From here on both splits are sure to hold many maps, so that drawing one of a split comes to an end.
+_CELLS_TO_SPLIT = 12
+
+
+@eqx.filter_jit  # the count is static
+def _draw_many(family: JaxTasks, key: Key, count: int) -> GridParams:
+    return family.sample_many(key, count)
+
+
+def _unique(maps: GridParams) -> GridParams:
+    """The maps without repetitions, in the order of their first appearance."""
+    layers = np.packbits(np.concatenate([maps.obstacles, maps.traps], axis=1).reshape(len(maps.start), -1), axis=1)
+    ends = np.stack([maps.start, maps.goal], axis=1).astype(np.int32)
+    rows = np.concatenate([layers, ends.view(np.uint8)], axis=1)
+    first = np.sort(np.unique(rows, axis=0, return_index=True)[1])
+    return jax.tree.map(lambda leaf: leaf[first], maps)
+
+
+def _check(
+    size: tuple[int, int],
+    obstacles: float,
+    traps: float,
+    trap_penalty: float,
+    slip: float,
+    gamma: float,
+    max_steps: int,
+    split: str,
+    held_out: str,
+    maps: int | None,
+) -> None:
+    height, width = size
+    if height < 1 or width < 1 or height * width < 2:
+        raise UpslopeError(f"A map of {height} × {width} cells holds no start and goal: give at least 2 cells.")
+    for name, share in (("obstacles", obstacles), ("traps", traps), ("slip", slip)):
+        if not 0 <= share < 1:
+            raise UpslopeError(f"{name} is {share}, but it is a probability below 1: give one such as 0.2.")
+    if not (np.isfinite(trap_penalty) and trap_penalty >= 0):
+        raise UpslopeError(f"trap_penalty is {trap_penalty}, but traps cost something: give 0 or a positive number.")
+    if not 0 < gamma <= 1:
+        raise UpslopeError(f"gamma is {gamma}, but a discount lies in (0, 1]: give one such as 0.9.")
+    for name, count in (("max_steps", max_steps), ("maps", 1 if maps is None else maps)):
+        if count < 1:
+            raise UpslopeError(f"{name} is {count}, but it counts something: give at least 1.")
+    if split not in ("all", "train", "test"):
+        raise UpslopeError(f"There is no split {split!r}: choose all, train or test.")
+    if held_out not in ("maps", "goals"):
+        raise UpslopeError(f"{held_out!r} can't be held out: choose maps or goals.")
+    if split != "all" and held_out == "maps" and height * width < _CELLS_TO_SPLIT:
+        raise UpslopeError(
+            f"{height} × {width} cells make too few maps to hold some out: give at least {_CELLS_TO_SPLIT} cells, "
+            'or held_out="goals".'
+        )
