@@ -84,7 +84,7 @@ FORMS: dict[str, Callable[[Images, Kernel], Images]] = {
 }
 
 #: What was fastest in compiled loops, by back end (docs/performance.md).
-FASTEST: dict[str, Convolution] = {"cpu": "closed"}
+FASTEST: dict[str, Convolution] = {"cpu": "patches"}
 
 
 def fastest_form(backend: str | None = None) -> Convolution:

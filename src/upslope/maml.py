@@ -43,12 +43,15 @@ def adapt(
     if steps < 1:
         raise UpslopeError(f"inner_steps is {steps}, but adapting takes at least one step: give N >= 1.")
     gradient_of = jax.grad(loss)
-    for _ in range(steps):
+
+    def step(params: Params, _: None) -> tuple[Params, None]:
         gradient = gradient_of(params, data)
         if first_order:
             gradient = jax.lax.stop_gradient(gradient)
-        params = descend(params, gradient, step_size)
-    return params
+        return descend(params, gradient, step_size), None
+
+    # A few steps are written out, many are a loop: the program stays small.
+    return jax.lax.scan(step, params, None, length=steps, unroll=steps if steps <= 4 else 1)[0]
 
 
 def meta_loss(

@@ -9,6 +9,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from upslope.errors import UpslopeError
 from upslope.learner import AbstractLearner
 from upslope.losses import prior_learning_loss, td_loss
 from upslope.maml import adapt, gradient_task_by_task
@@ -16,6 +17,7 @@ from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.recipes import MetaTrainingConfig
 from upslope.replay import Replay
+from upslope.tabular_posterior import TableSamples, collect_steps, posterior_table, q_tables, table_distance
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Metrics, Scalar, Transition
 
@@ -54,6 +56,8 @@ class MetaTraining(AbstractLearner):
     def init(self, key: Key) -> MetaTrainingState:
         key, trial_key, network_key = jax.random.split(key, 3)
         family, config = self.family, self.config
+        if config.posterior == "table" and not hasattr(getattr(family, "env", None), "observe_all"):
+            raise UpslopeError(f"{family.name} tasks are not finite, so no table fits them: adapt the whole network.")
         theta = DuelingQ(
             network_key,
             family.observation_shape,
@@ -87,15 +91,21 @@ class MetaTraining(AbstractLearner):
         )
         return following, {"outer_loss": jnp.mean(losses)}
 
-    def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition:
-        """Fresh replays D_i ``[tasks, steps, ...]``, ε-greedy by Q_θ, with its own ε for each task."""
+    def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition | TableSamples:
+        """Fresh replays D_i ``[tasks, steps, ...]``, ε-greedy by Q_θ, with its own ε for each task or environment."""
+        if self.config.posterior == "table":
+            epsilon = jnp.linspace(*self.config.epsilon, self.config.environments)
+            return collect_steps(key, self.family, tasks, theta, epsilon, self.config.steps_per_task)
         reset_key, act_key = jax.random.split(key)
         policy = EpsilonGreedy(theta, jnp.linspace(*self.config.epsilon, self.config.tasks))
         running = self.family.reset(reset_key, tasks)
         return self.family.collect(act_key, tasks, running, policy, self.config.steps_per_task)[1]
 
-    def draw(self, key: Key, experience: Transition, target: DuelingQ) -> TaskSamples:
+    def draw(self, key: Key, experience: Transition | TableSamples, target: DuelingQ) -> TaskSamples | TableSamples:
         """The samples of every task ``[tasks, batch, ...]``, used by the inner and the outer loss alike."""
+        if isinstance(experience, TableSamples):
+            base = None if self.config.target_decay is None else q_tables(target, experience.observations)
+            return TableSamples(experience.observations, experience.steps, base)
         keys = jax.random.split(key, self.config.tasks)
         batch = jax.vmap(lambda key, data: Replay.of(data).sample(key, self.config.batch_size))(keys, experience)
         if self.config.target_decay is None:
@@ -112,9 +122,11 @@ class MetaTraining(AbstractLearner):
         """Mean of `task_outer_loss` over tasks."""
         return jnp.mean(jax.vmap(lambda task: self.task_outer_loss(theta, task))(samples))
 
-    def task_outer_loss(self, theta: DuelingQ, samples: TaskSamples) -> Scalar:
+    def task_outer_loss(self, theta: DuelingQ, samples: TaskSamples | TableSamples) -> Scalar:
         """Eq. 7 for one task, with φ_i adapted from θ by Eq. 2 on the TD error of Eq. 5."""
         config = self.config
+        if isinstance(samples, TableSamples):
+            return self.table_outer_loss(jax.vmap(theta)(samples.observations), samples)
         phi = adapt(
             self.task_td_loss,
             theta,
@@ -124,6 +136,21 @@ class MetaTraining(AbstractLearner):
             first_order=config.first_order,
         )
         return self.distance_to_posterior(theta, phi, samples)
+
+    def table_outer_loss(self, q_prior: Float[Array, "states actions"], samples: TableSamples) -> Scalar:
+        """The same with a table for φ_i, given Q_θ in every state of the task."""
+        config = self.config
+        base = jax.lax.stop_gradient(q_prior) if samples.base is None else samples.base
+        q_posterior = posterior_table(
+            base, samples.steps, step_size=config.inner_step_size, inner_steps=config.inner_steps
+        )
+        return table_distance(
+            q_prior,
+            q_posterior,
+            samples.steps,
+            reward_weight=config.reward_weight,
+            advantage_weight=config.advantage_weight,
+        )
 
     def task_td_loss(self, network: DuelingQ, samples: TaskSamples) -> Scalar:
         """Mean of Eq. 5 over one task's batch."""
@@ -152,9 +179,11 @@ class MetaTraining(AbstractLearner):
 
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config
-        schedule = optax.linear_schedule(
-            config.outer_step_size, config.outer_step_size_end, config.iterations * config.outer_updates
-        )
+        updates = config.iterations * config.outer_updates - config.outer_warmup
+        schedule = optax.linear_schedule(config.outer_step_size, config.outer_step_size_end, max(updates, 1))
+        if config.outer_warmup:
+            rise = optax.linear_schedule(0.0, config.outer_step_size, config.outer_warmup)
+            schedule = optax.join_schedules([rise, schedule], [config.outer_warmup])
         return optax.adam(schedule) if config.outer_optimiser == "adam" else optax.sgd(schedule)
 
     def _target(self, theta: DuelingQ, target: DuelingQ) -> DuelingQ:

@@ -40,6 +40,11 @@ class MLP(eqx.Module):
         self.scale = scale if scale is not None else (1.0,) * inputs
         self.activation = activation
 
+    @property
+    def hidden(self) -> Hidden:
+        """Widths of the fully connected layers."""
+        return tuple(layer.weight.shape[0] for layer in self.layers)
+
     def __call__(self, inputs: Float[Array, "inputs"]) -> Float[Array, "features"]:
         features = inputs * jnp.asarray(self.scale, inputs.dtype)
         for layer in self.layers:
@@ -51,7 +56,7 @@ class ConvolutionalTorso(eqx.Module):
     """Layers of 3 × 3 kernels, then fully connected layers (Sec. 5.2: four layers of 32 kernels, and two).
 
     Attributes:
-        kernels: of each layer ``[3, 3, channels in, channels out]``; padding is SAME, or nothing of a small map is left.
+        kernels: of each layer ``[3, 3, inputs, outputs]``; padding is SAME, or nothing of a small map is left.
         biases: of each layer.
         dense: the fully connected layers, on the flattened maps.
         convolution: which form of the convolution; all are equal but for speed, and no part of what is saved.
@@ -63,6 +68,11 @@ class ConvolutionalTorso(eqx.Module):
     scale: Scale = eqx.field(static=True)
     activation: Activation = eqx.field(static=True)
     convolution: Convolution = eqx.field(static=True)
+
+    @property
+    def hidden(self) -> Hidden:
+        """Widths of the fully connected layers."""
+        return self.dense.hidden
 
     def __call__(self, inputs: Float[Array, "height width channels"]) -> Float[Array, "features"]:
         images = inputs * jnp.asarray(self.scale, inputs.dtype)

@@ -146,7 +146,7 @@ def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: d
         observation_shape=family.observation_shape,
         observation_scale=family.observation_scale,
         actions=family.actions,
-        hidden=tuple(layer.weight.shape[0] for layer in network.torso.layers),
+        hidden=network.torso.hidden,
         activation=network.torso.activation,
         seed=seed,
         settings=settings,
@@ -177,9 +177,11 @@ def _check_header(trained_on: TrainedOn) -> None:
     """Raises ValueError where the header's entries make no network or no discount."""
     shape, scale, gamma = trained_on.observation_shape, trained_on.observation_scale, trained_on.gamma
     sizes = (*shape, *trained_on.hidden, trained_on.actions)
-    if not (len(shape) == 1 and trained_on.hidden and all(isinstance(size, int) and size > 0 for size in sizes)):
+    if not (len(shape) in (1, 3) and trained_on.hidden and all(isinstance(size, int) and size > 0 for size in sizes)):
         raise ValueError("its sizes make no network")
-    if len(scale) != shape[0] or not all(isinstance(factor, int | float) and math.isfinite(factor) for factor in scale):
+    if len(scale) != shape[-1] or not all(
+        isinstance(factor, int | float) and math.isfinite(factor) for factor in scale
+    ):
         raise ValueError("its scales do not fit the observations")
     if trained_on.activation not in ACTIVATIONS:
         raise ValueError(f"activation {trained_on.activation!r} is unknown")
@@ -192,7 +194,7 @@ def _fill(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> 
     skeleton = eqx.filter_eval_shape(
         DuelingQ,
         jax.random.key(0),
-        trained_on.observation_shape[0],
+        trained_on.observation_shape,
         trained_on.actions,
         trained_on.hidden,
         trained_on.observation_scale,
