@@ -17,10 +17,12 @@ from upslope.experiments.learners import ARMS, LearnersConfig, learners, quick_l
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
 from upslope.experiments.results import write_results
+from upslope.experiments.theorem_plots import draw_theorems
+from upslope.experiments.theorems import TheoremsConfig, quick_theorems, tables, theorems
 from upslope.run.folder import claim
 from upslope.run.observers import EventLog, Observer, ProgressBar
 
-EXPERIMENTS = ("fig1", "deviations", "learners")
+EXPERIMENTS = ("fig1", "deviations", "learners", "theorems")
 PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
 
 
@@ -38,7 +40,7 @@ def reproduce(
     """Runs an experiment into an empty folder, and sums it up on the console.
 
     Args:
-        experiment: a figure of the paper, or ``deviations``, or ``learners``.
+        experiment: a figure of the paper, or ``deviations``, ``learners`` or ``theorems``.
         out: the folder; a new one under ``runs/`` if None.
         is_quick: the quick form.
         seeds: how many; the experiment's own number if None.
@@ -66,6 +68,10 @@ def reproduce(
         study = quick_deviations(DeviationsConfig()) if is_quick else DeviationsConfig()
         study = replace(study, first_seed=first_seed, seeds=seeds or study.seeds, tasks=tasks or study.tasks)
         _reproduce_study(experiment, partial(deviations, study), _deviations_table, out, console)
+    elif experiment == "theorems":
+        proofs = quick_theorems(TheoremsConfig()) if is_quick else TheoremsConfig()
+        proofs = replace(proofs, first_seed=first_seed, seeds=seeds or proofs.seeds, tasks=tasks or proofs.tasks)
+        _reproduce_theorems(proofs, out, console)
     else:
         tuning = quick_learners(LearnersConfig()) if is_quick else LearnersConfig()
         shifted = tuning.first_seed + first_seed
@@ -97,6 +103,16 @@ def _reproduce_study(
     (folder / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     console.print(table(results))
     console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold].")
+
+
+def _reproduce_theorems(config: TheoremsConfig, out: Path | None, console: Console) -> None:
+    folder = claim(out, "theorems")
+    results = theorems(config, [ProgressBar(), EventLog(folder / "logs")])
+    (folder / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    (folder / "tables.md").write_text(tables(results), encoding="utf-8")
+    draw_theorems(results, folder)
+    console.print(tables(results), highlight=False, soft_wrap=True)
+    console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold]; the picture is {folder / 'figure.png'}.")
 
 
 def _deviations_table(results: dict[str, Any]) -> Table:

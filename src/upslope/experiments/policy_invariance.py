@@ -1,0 +1,99 @@
+"""Thm. 2.1 on maps: F from a potential changes no optimal action; other rewards, added with the best intentions, do."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from upslope.experiments.theorem_maps import TOLERANCE, Maps, for_each, known
+from upslope.measures import success
+from upslope.planning import Solution, TabularMDP, best_actions, value_iteration
+from upslope.shaping import shaped_optimum
+from upslope.tasks.grid_potentials import manhattan_distance
+from upslope.types import Key
+
+#: Wrong γ in F, beside the task's 0.9.
+OTHER_GAMMA = 0.99
+
+#: Where R + F is clipped, in the variant that clips.
+CLIP = 0.05
+
+POTENTIALS = ("random, 0.1", "random, 1", "distance")
+ADDED = (
+    "F = γΦ(s′) − Φ(s)",
+    "Φ(terminal) not zeroed",
+    f"γ = {OTHER_GAMMA} in F",
+    "no γ in F",
+    f"R + F clipped to ±{CLIP}",
+    "only F > 0 added",
+    "Φ(s′) alone",
+)
+
+
+def policy_invariance(maps: Maps, seed: int) -> dict[str, dict[str, dict[str, float]]]:
+    """For every potential and every way to add it: in how many maps the set of optimal actions changes somewhere.
+
+    Returns:
+        ``[potential][added]`` to the share of ``changed`` maps, the share ``solved`` in 50 steps by acting optimally
+        for the added reward (uniformly among the best actions), and the largest ``error`` of Q' + Φ − Q* (Eq. 1).
+    """
+    keys = jax.random.split(jax.random.key(seed), len(maps.params.start))
+    changed, solved, error = for_each(lambda params, key: _one_map(maps, params, key), maps.params, keys)
+    return {
+        potential: {
+            added: {
+                "changed": float(np.mean(changed[:, row, column])),
+                "solved": float(np.mean(solved[:, row, column])),
+                "error": float(np.max(error[:, row, column])),
+            }
+            for column, added in enumerate(ADDED)
+        }
+        for row, potential in enumerate(POTENTIALS)
+    }
+
+
+def _one_map(maps: Maps, params: Any, key: Key) -> tuple[Array, Array, Array]:
+    truth = known(maps, params)
+    noise = jax.random.normal(key, (maps.env.cells,))
+    potentials = jnp.stack([0.1 * noise, noise, -0.1 * manhattan_distance(maps.env, params)])
+    original = best_actions(truth.solution.action_value, tolerance=10 * TOLERANCE)
+
+    def compare(mdp: TabularMDP, potential: Float[Array, "states"]) -> tuple[Array, Array, Array]:
+        shaped: Solution = value_iteration(mdp, tolerance=TOLERANCE / 100)
+        best = best_actions(shaped.action_value, tolerance=10 * TOLERANCE)
+        changed = jnp.any(best != original, axis=-1, where=truth.states[:, None])
+        policy = best / best.sum(axis=-1, keepdims=True)
+        solved = success(truth.mdp, policy, 50)[truth.start]
+        expected = shaped_optimum(truth.solution.action_value, potential[:, None])
+        error = jnp.max(jnp.abs(shaped.action_value - expected), where=truth.states[:, None], initial=0.0)
+        return jnp.any(changed), solved, error
+
+    def all_ways(potential: Float[Array, "states"]) -> tuple[Array, Array, Array]:
+        ways = jnp.stack(list(added_rewards(truth.mdp, potential, maps.gamma)))
+        return jax.vmap(lambda rewards: compare(_with_rewards(truth.mdp, rewards), potential))(ways)
+
+    return jax.vmap(all_ways)(potentials)
+
+
+def added_rewards(mdp: TabularMDP, potential: Float[Array, "states"], gamma: float) -> tuple[Array, ...]:
+    """R + what is added, for each of `ADDED`; only the first is Def. 2.1."""
+    here, there = potential[:, None, None], potential[mdp.successors]
+    going_on = jnp.sign(mdp.discounts)
+    f = mdp.discounts * there - here
+    return (
+        mdp.rewards + f,
+        mdp.rewards + gamma * there - here,
+        mdp.rewards + OTHER_GAMMA * going_on * there - here,
+        mdp.rewards + going_on * there - here,
+        jnp.clip(mdp.rewards + f, -CLIP, CLIP),
+        mdp.rewards + jnp.maximum(f, 0.0),
+        mdp.rewards + going_on * there,
+    )
+
+
+def _with_rewards(mdp: TabularMDP, rewards: Array) -> TabularMDP:
+    kept = jnp.where(mdp.acting[:, None, None], rewards, mdp.rewards)
+    return eqx.tree_at(lambda mdp: mdp.rewards, mdp, kept)
