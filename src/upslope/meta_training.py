@@ -112,13 +112,13 @@ class MetaTraining(AbstractLearner):
             return TaskSamples(batch, None)
         return TaskSamples(batch, jax.vmap(jax.vmap(target))(batch.next_obs))
 
-    def outer_gradient(self, theta: DuelingQ, samples: TaskSamples) -> tuple[Scalar, DuelingQ]:
+    def outer_gradient(self, theta: DuelingQ, samples: TaskSamples | TableSamples) -> tuple[Scalar, DuelingQ]:
         """The outer loss and its gradient, all tasks at once or one after the other."""
         if self.config.task_by_task:
             return gradient_task_by_task(self.task_outer_loss, theta, samples)
         return jax.value_and_grad(self.outer_loss)(theta, samples)
 
-    def outer_loss(self, theta: DuelingQ, samples: TaskSamples) -> Scalar:
+    def outer_loss(self, theta: DuelingQ, samples: TaskSamples | TableSamples) -> Scalar:
         """Mean of `task_outer_loss` over tasks."""
         return jnp.mean(jax.vmap(lambda task: self.task_outer_loss(theta, task))(samples))
 
