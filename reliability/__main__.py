@@ -60,6 +60,7 @@ def main() -> None:
         check("full disk", disk.full, 16)
         check("damaged and forged files", mutations.mutated, 10_000, options.seed)
         check("what loading does", audit.loading)
+    RESULTS.mkdir(exist_ok=True)
     path = RESULTS / ("long.json" if options.long else "short.json")
     entries = {"checks": results, "seed": options.seed, "versions": versions(), "hardware": hardware()}
     path.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")

@@ -127,6 +127,22 @@ def test_meta_gradient_equals_finite_differences(steps):
         np.testing.assert_allclose(stepped["in"], theta["in"] - 0.7 * gradient["in"], rtol=1e-10)
 
 
+def test_task_by_task_gives_the_mean_loss_and_its_gradient():
+    keys = jax.random.split(jax.random.key(1), 3)
+    theta = {"in": jax.random.normal(keys[0], (2, 3)), "out": jax.random.normal(keys[1], (3,))}
+    data = jax.random.normal(keys[2], (4, 5, 2))  # four tasks of five points
+
+    def one(params, batch):
+        return bent_loss(maml.adapt(bent_loss, params, batch, step_size=0.3), batch)
+
+    loss, gradient = jax.jit(lambda params: maml.gradient_task_by_task(one, params, data))(theta)
+    side_by_side = jax.value_and_grad(lambda params: jnp.mean(jax.vmap(lambda batch: one(params, batch))(data)))
+    expected_loss, expected = side_by_side(theta)
+    assert float(loss) == pytest.approx(float(expected_loss), rel=1e-5)
+    for name in theta:
+        np.testing.assert_allclose(gradient[name], expected[name], rtol=1e-4, atol=1e-6)
+
+
 @pytest.mark.parametrize("steps", [0, -1])
 def test_adapting_takes_at_least_one_step(steps):
     with pytest.raises(UpslopeError, match=f"inner_steps is {steps}"):

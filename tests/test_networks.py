@@ -1,12 +1,17 @@
 """The networks: shapes, the dueling aggregation, the fixed input scale, stacking."""
 
+import dataclasses
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from support.batches import small_network
-from upslope.networks import MLP, Actor, Critic, DuelingQ, QNetwork
+from upslope.convolution import FORMS
+from upslope.errors import UpslopeError
+from upslope.networks import MLP, Actor, Critic, DuelingQ, QNetwork, convolutional_torso
 from upslope.potentials import constant_potential, mean_potential, stack
 
 SCALE = (0.5, 2.0, 10.0)
@@ -85,6 +90,68 @@ class TestInputScale:
         network = DuelingQ(jax.random.key(0), 3, 2, (6, 5), SCALE)
         gradient = jax.grad(lambda net: net.value(OBS))(network)
         assert jax.tree.map(lambda p, g: p - g, network, gradient).torso.scale == SCALE
+
+
+class TestConvolutional:
+    """Sec. 5.2: four layers of 32 3 × 3 kernels, two fully connected layers, both heads."""
+
+    SHAPE = (5, 6, 4)
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def network():
+        return DuelingQ(jax.random.key(0), TestConvolutional.SHAPE, 4, (16, 8), (1.0, 1.0, 2.0, 1.0))
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def maps():
+        return jax.random.bernoulli(jax.random.key(1), 0.3, (7, *TestConvolutional.SHAPE)).astype(jnp.float32)
+
+    def test_sizes_are_the_paper_s(self, network):
+        assert [kernel.shape for kernel in network.torso.kernels] == [(3, 3, 4, 32), *[(3, 3, 32, 32)] * 3]
+        assert [layer.weight.shape for layer in network.torso.dense.layers] == [(16, 5 * 6 * 32), (8, 16)]
+        assert network.value_head.weight.shape == (1, 8)
+        assert network.advantage_head.weight.shape == (4, 8)
+
+    def test_value_is_exactly_the_best_action_value(self, network, maps):
+        np.testing.assert_array_equal(jax.vmap(network.value)(maps), jax.vmap(network)(maps).max(axis=-1))
+
+    def test_every_form_gives_the_same_values_and_gradients(self, maps):
+        torso = convolutional_torso(jax.random.key(0), self.SHAPE, (5,), channels=(3, 2))
+
+        @jax.jit
+        def loss_and_gradient(torso):
+            loss, gradient = jax.value_and_grad(lambda torso: jnp.mean(jnp.sin(jax.vmap(torso)(maps))))(torso)
+            return [loss, *jax.tree.leaves(gradient)]
+
+        with jax.default_matmul_precision("highest"):
+            expected = loss_and_gradient(dataclasses.replace(torso, convolution="lax"))
+            for form in sorted(FORMS):
+                found = loss_and_gradient(dataclasses.replace(torso, convolution=form))
+                for ours, theirs in zip(found, expected, strict=True):
+                    np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6)
+
+    def test_by_hand_where_a_kernel_only_looks_at_one_neighbour(self):
+        torso = convolutional_torso(jax.random.key(0), (2, 3, 1), (4,), (3.0,), channels=(1,))
+        left = jnp.zeros((3, 3, 1, 1)).at[1, 0].set(1.0)
+        torso = dataclasses.replace(torso, kernels=(left,), biases=(jnp.array([0.5]),))
+        maps = jnp.arange(6.0).reshape(2, 3, 1)
+        # Each cell sees three times its left neighbour, nothing beyond the border, plus the bias.
+        seen = jnp.array([[0, 0, 3], [0, 9, 12]]) + 0.5
+        np.testing.assert_allclose(torso(maps), torso.dense(seen.ravel()), rtol=1e-5)
+
+    def test_the_scale_is_by_channel(self, network, maps):
+        plain = eqx.tree_at(lambda net: net.torso, network, dataclasses.replace(network.torso, scale=(1.0,) * 4))
+        doubled = maps * jnp.array([1.0, 1.0, 2.0, 1.0])
+        np.testing.assert_allclose(jax.vmap(network)(maps), jax.vmap(plain)(doubled), rtol=1e-4, atol=1e-6)
+
+    def test_a_vanilla_network_takes_maps_too(self, maps):
+        network = QNetwork(jax.random.key(0), self.SHAPE, 4, (16, 8))
+        assert jax.vmap(network)(maps).shape == (7, 4)
+
+    def test_two_axes_are_refused(self):
+        with pytest.raises(UpslopeError, match=r"shape \(5, 6\)"):
+            DuelingQ(jax.random.key(0), (5, 6), 4)
 
 
 class TestStacking:

@@ -155,3 +155,12 @@ class TestTDLoss:
                 for kind in ("semi", "full")
             )
             assert bool(jnp.abs(semi - full).max() > 1e-3) is differ
+
+
+@pytest.mark.parametrize("outer_target", ["kept", "stopped"])
+def test_task_by_task_makes_no_difference(outer_target):
+    theta, data = small_network(0), samples()
+    together = learner(outer_target=outer_target).outer_gradient(theta, data)
+    in_turn = learner(outer_target=outer_target, task_by_task=True).outer_gradient(theta, data)
+    assert_trees_close(in_turn, together, rtol=1e-4)
+    assert largest(together[1]) > 1e-4

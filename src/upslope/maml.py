@@ -43,12 +43,15 @@ def adapt(
     if steps < 1:
         raise UpslopeError(f"inner_steps is {steps}, but adapting takes at least one step: give N >= 1.")
     gradient_of = jax.grad(loss)
-    for _ in range(steps):
+
+    def step(params: Params, _: None) -> tuple[Params, None]:
         gradient = gradient_of(params, data)
         if first_order:
             gradient = jax.lax.stop_gradient(gradient)
-        params = descend(params, gradient, step_size)
-    return params
+        return descend(params, gradient, step_size), None
+
+    # A few steps are written out, many are a loop: the program stays small.
+    return jax.lax.scan(step, params, None, length=steps, unroll=steps if steps <= 4 else 1)[0]
 
 
 def meta_loss(
@@ -72,6 +75,28 @@ def meta_loss(
         return outer_loss(params, adapted, task_data)
 
     return jnp.mean(jax.vmap(loss_of_task)(data))
+
+
+def gradient_task_by_task(loss: Callable[[Params, Data], Scalar], params: Params, data: Data) -> tuple[Scalar, Params]:
+    """The mean of a loss over tasks ``[tasks, ...]``, and its gradient, taken within a loop over the tasks.
+
+    The same as differentiating a `meta_loss`, whose tasks lie side by side, with the memory of one task. Networks with
+    convolutions need it on CPU: side by side the adapted weights turn every convolution into a batch of them.
+
+    Args:
+        loss: of one task: a function of θ and that task's data.
+        params: θ.
+        data: the tasks' samples ``[tasks, ...]``.
+    """
+    count = jax.tree.leaves(data)[0].shape[0]
+
+    def add(total: tuple[Scalar, Params], task_data: Data) -> tuple[tuple[Scalar, Params], None]:
+        # Differentiated in here, nothing of one task is kept for the next.
+        return jax.tree.map(jnp.add, total, jax.value_and_grad(loss)(params, task_data)), None
+
+    nothing = (jnp.zeros(()), jax.tree.map(jnp.zeros_like, params))
+    total, _ = jax.lax.scan(add, nothing, data)
+    return jax.tree.map(lambda leaf: leaf / count, total)
 
 
 def outer_step(

@@ -9,14 +9,17 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from upslope.errors import UpslopeError
 from upslope.learner import AbstractLearner, vital_signs
 from upslope.losses import prior_learning_loss, td_loss
-from upslope.maml import meta_loss
+from upslope.maml import adapt, gradient_task_by_task
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.recipes import MetaTrainingConfig
 from upslope.replay import Replay
+from upslope.tabular_posterior import TableSamples, collect_steps, posterior_table, q_tables, table_distance
 from upslope.tasks.family import AbstractFamily
+from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Key, Metrics, Scalar, Transition
 
 
@@ -54,9 +57,11 @@ class MetaTraining(AbstractLearner):
     def init(self, key: Key) -> MetaTrainingState:
         key, trial_key, network_key = jax.random.split(key, 3)
         family, config = self.family, self.config
+        if config.posterior == "table" and not hasattr(getattr(family, "env", None), "observe_all"):
+            raise UpslopeError(f"{family.name} tasks are not finite, so no table fits them: adapt the whole network.")
         theta = DuelingQ(
             network_key,
-            family.observation_shape[0],
+            family.observation_shape,
             family.actions,
             config.hidden,
             family.observation_scale,
@@ -71,7 +76,7 @@ class MetaTraining(AbstractLearner):
         def update(carry: tuple[DuelingQ, Any], key: Key) -> tuple[tuple[DuelingQ, Any], Metrics]:
             theta, optimiser = carry
             samples = self.draw(key, experience, state.target)
-            loss, gradient = jax.value_and_grad(self.outer_loss)(theta, samples)
+            loss, gradient = self.outer_gradient(theta, samples)
             change, optimiser = self._optimiser().update(gradient, optimiser)
             metrics = {"outer_loss": loss, "gradient_norm": optax.tree.norm(gradient)}
             return (optax.apply_updates(theta, change), optimiser), metrics
@@ -86,33 +91,71 @@ class MetaTraining(AbstractLearner):
             self._average(theta, state.average),
             optimiser,
         )
-        return following, vital_signs(experience) | jax.tree.map(jnp.mean, metrics)
+        if isinstance(experience, TableSamples):
+            signs = {"reward": jnp.mean(experience.steps.reward, axis=-1)}
+        else:
+            signs = vital_signs(experience)
+        return following, signs | jax.tree.map(jnp.mean, metrics)
 
-    def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition:
-        """Fresh replays D_i ``[tasks, steps, ...]``, ε-greedy by Q_θ, with its own ε for each task."""
+    def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition | TableSamples:
+        """Fresh replays D_i ``[tasks, steps, ...]``, ε-greedy by Q_θ, with its own ε for each task or environment."""
+        if self.config.posterior == "table" and isinstance(self.family, JaxTasks):
+            epsilon = jnp.linspace(*self.config.epsilon, self.config.environments)
+            return collect_steps(key, self.family, tasks, theta, epsilon, self.config.steps_per_task)
         reset_key, act_key = jax.random.split(key)
         policy = EpsilonGreedy(theta, jnp.linspace(*self.config.epsilon, self.config.tasks))
         running = self.family.reset(reset_key, tasks)
         return self.family.collect(act_key, tasks, running, policy, self.config.steps_per_task)[1]
 
-    def draw(self, key: Key, experience: Transition, target: DuelingQ) -> TaskSamples:
+    def draw(self, key: Key, experience: Transition | TableSamples, target: DuelingQ) -> TaskSamples | TableSamples:
         """The samples of every task ``[tasks, batch, ...]``, used by the inner and the outer loss alike."""
+        if isinstance(experience, TableSamples):
+            base = None if self.config.target_decay is None else q_tables(target, experience.observations)
+            return TableSamples(experience.observations, experience.steps, base)
         keys = jax.random.split(key, self.config.tasks)
         batch = jax.vmap(lambda key, data: Replay.of(data).sample(key, self.config.batch_size))(keys, experience)
         if self.config.target_decay is None:
             return TaskSamples(batch, None)
         return TaskSamples(batch, jax.vmap(jax.vmap(target))(batch.next_obs))
 
-    def outer_loss(self, theta: DuelingQ, samples: TaskSamples) -> Scalar:
-        """Eq. 7 over tasks, with each φ_i adapted from θ by Eq. 2 on the TD error of Eq. 5."""
-        return meta_loss(
+    def outer_gradient(self, theta: DuelingQ, samples: TaskSamples | TableSamples) -> tuple[Scalar, DuelingQ]:
+        """The outer loss and its gradient, all tasks at once or one after the other."""
+        if self.config.task_by_task:
+            return gradient_task_by_task(self.task_outer_loss, theta, samples)
+        return jax.value_and_grad(self.outer_loss)(theta, samples)
+
+    def outer_loss(self, theta: DuelingQ, samples: TaskSamples | TableSamples) -> Scalar:
+        """Mean of `task_outer_loss` over tasks."""
+        return jnp.mean(jax.vmap(lambda task: self.task_outer_loss(theta, task))(samples))
+
+    def task_outer_loss(self, theta: DuelingQ, samples: TaskSamples | TableSamples) -> Scalar:
+        """Eq. 7 for one task, with φ_i adapted from θ by Eq. 2 on the TD error of Eq. 5."""
+        config = self.config
+        if isinstance(samples, TableSamples):
+            return self.table_outer_loss(jax.vmap(theta)(samples.observations), samples)
+        phi = adapt(
             self.task_td_loss,
-            self.distance_to_posterior,
             theta,
             samples,
-            step_size=self.config.inner_step_size,
-            steps=self.config.inner_steps,
-            first_order=self.config.first_order,
+            step_size=config.inner_step_size,
+            steps=config.inner_steps,
+            first_order=config.first_order,
+        )
+        return self.distance_to_posterior(theta, phi, samples)
+
+    def table_outer_loss(self, q_prior: Float[Array, "states actions"], samples: TableSamples) -> Scalar:
+        """The same with a table for φ_i, given Q_θ in every state of the task."""
+        config = self.config
+        base = jax.lax.stop_gradient(q_prior) if samples.base is None else samples.base
+        q_posterior = posterior_table(
+            base, samples.steps, step_size=config.inner_step_size, inner_steps=config.inner_steps
+        )
+        return table_distance(
+            q_prior,
+            q_posterior,
+            samples.steps,
+            reward_weight=config.reward_weight,
+            advantage_weight=config.advantage_weight,
         )
 
     def task_td_loss(self, network: DuelingQ, samples: TaskSamples) -> Scalar:
@@ -142,9 +185,11 @@ class MetaTraining(AbstractLearner):
 
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config
-        schedule = optax.linear_schedule(
-            config.outer_step_size, config.outer_step_size_end, config.iterations * config.outer_updates
-        )
+        updates = config.iterations * config.outer_updates - config.outer_warmup
+        schedule = optax.linear_schedule(config.outer_step_size, config.outer_step_size_end, max(updates, 1))
+        if config.outer_warmup:
+            rise = optax.linear_schedule(0.0, config.outer_step_size, config.outer_warmup)
+            schedule = optax.join_schedules([rise, schedule], [config.outer_warmup])
         return optax.adam(schedule) if config.outer_optimiser == "adam" else optax.sgd(schedule)
 
     def _target(self, theta: DuelingQ, target: DuelingQ) -> DuelingQ:

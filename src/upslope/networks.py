@@ -11,11 +11,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from upslope.convolution import FORMS, Convolution, fastest_form
+from upslope.errors import UpslopeError
 from upslope.losses import dueling_q
+from upslope.prior_file import CHANNELS
 from upslope.types import Key, Observation, Scalar
 
 Hidden = tuple[int, ...]
 Scale = tuple[float, ...]
+Shape = tuple[int, ...]
 Activation = Literal["relu", "tanh"]
 
 ACTIVATIONS: dict[str, Callable] = {"relu": jax.nn.relu, "tanh": jnp.tanh}
@@ -37,6 +41,11 @@ class MLP(eqx.Module):
         self.scale = scale if scale is not None else (1.0,) * inputs
         self.activation = activation
 
+    @property
+    def hidden(self) -> Hidden:
+        """Widths of the fully connected layers."""
+        return tuple(layer.weight.shape[0] for layer in self.layers)
+
     def __call__(self, inputs: Float[Array, "inputs"]) -> Float[Array, "features"]:
         features = inputs * jnp.asarray(self.scale, inputs.dtype)
         for layer in self.layers:
@@ -44,24 +53,99 @@ class MLP(eqx.Module):
         return features
 
 
-class DuelingQ(eqx.Module):
-    """V head and A head on one torso (Eq. 6). Its V head is the potential Φ."""
+class ConvolutionalTorso(eqx.Module):
+    """Layers of 3 × 3 kernels, then fully connected layers (Sec. 5.2: four layers of 32 kernels, and two).
 
-    torso: MLP
+    Attributes:
+        kernels: of each layer ``[3, 3, inputs, outputs]``; padding is SAME, or nothing of a small map is left.
+        biases: of each layer.
+        dense: the fully connected layers, on the flattened maps.
+        convolution: which form of the convolution; all are equal but for speed, and no part of what is saved.
+    """
+
+    kernels: tuple[Float[Array, "..."], ...]
+    biases: tuple[Float[Array, "..."], ...]
+    dense: MLP
+    scale: Scale = eqx.field(static=True)
+    activation: Activation = eqx.field(static=True)
+    convolution: Convolution = eqx.field(static=True)
+
+    @property
+    def hidden(self) -> Hidden:
+        """Widths of the fully connected layers."""
+        return self.dense.hidden
+
+    def __call__(self, inputs: Float[Array, "height width channels"]) -> Float[Array, "features"]:
+        images = inputs * jnp.asarray(self.scale, inputs.dtype)
+        convolve = FORMS[self.convolution]
+        for kernel, bias in zip(self.kernels, self.biases, strict=True):
+            images = ACTIVATIONS[self.activation](convolve(images, kernel) + bias)
+        return self.dense(images.ravel())
+
+
+def convolutional_torso(
+    key: Key,
+    shape: Shape,
+    hidden: Hidden = (128, 128),
+    scale: Scale | None = None,
+    activation: Activation = "relu",
+    *,
+    channels: Hidden = CHANNELS,
+) -> ConvolutionalTorso:
+    """A fresh torso for maps of ``(height, width, channels)``, with the fastest form of the convolution."""
+    height, width, inputs = shape
+    keys = jax.random.split(key, len(channels) + 1)
+    # He's initialisation: at the scale of fully connected layers' default a map would fade from layer to layer.
+    kernel = jax.nn.initializers.he_normal(in_axis=(0, 1, 2))
+    pairs = zip(keys, (inputs, *channels[:-1]), channels, strict=False)
+    return ConvolutionalTorso(
+        kernels=tuple(kernel(k, (3, 3, n, m)) for k, n, m in pairs),
+        biases=tuple(jnp.zeros(m) for m in channels),
+        dense=MLP(keys[-1], height * width * channels[-1], hidden, activation=activation),
+        scale=scale if scale is not None else (1.0,) * inputs,
+        activation=activation,
+        convolution=fastest_form(),
+    )
+
+
+def torso_for(
+    key: Key, inputs: int | Shape, hidden: Hidden, scale: Scale | None, activation: Activation = "relu"
+) -> MLP | ConvolutionalTorso:
+    """What suits the observations: fully connected for vectors, convolutional for maps ``(height, width, channels)``.
+
+    Raises:
+        UpslopeError: observations that are neither.
+    """
+    shape = (inputs,) if isinstance(inputs, int) else inputs
+    if len(shape) == 1:
+        return MLP(key, shape[0], hidden, scale, activation)
+    if len(shape) == 3:
+        return convolutional_torso(key, shape, hidden, scale, activation)
+    raise UpslopeError(f"No network takes observations of shape {shape}: make them vectors, or maps with channels.")
+
+
+class DuelingQ(eqx.Module):
+    """V head and A head on one torso (Eq. 6). Its V head is the potential Φ.
+
+    For vectors of ``inputs`` numbers the torso is fully connected (Sec. 5.1); for maps, ``inputs`` being
+    ``(height, width, channels)``, it is the paper's convolutional one (Sec. 5.2).
+    """
+
+    torso: MLP | ConvolutionalTorso
     value_head: eqx.nn.Linear
     advantage_head: eqx.nn.Linear
 
     def __init__(
         self,
         key: Key,
-        inputs: int,
+        inputs: int | Shape,
         actions: int,
         hidden: Hidden = (32, 32),
         scale: Scale | None = None,
         activation: Activation = "relu",
     ):
         torso_key, value_key, advantage_key = jax.random.split(key, 3)
-        self.torso = MLP(torso_key, inputs, hidden, scale, activation)
+        self.torso = torso_for(torso_key, inputs, hidden, scale, activation)
         self.value_head = eqx.nn.Linear(hidden[-1], 1, key=value_key)
         self.advantage_head = eqx.nn.Linear(hidden[-1], actions, key=advantage_key)
 
@@ -84,14 +168,16 @@ class DuelingQ(eqx.Module):
 
 
 class QNetwork(eqx.Module):
-    """The vanilla Q-network of a DQN: no dueling."""
+    """The vanilla Q-network of a DQN: no dueling; its torso suits the observations as `DuelingQ`'s does."""
 
-    torso: MLP
+    torso: MLP | ConvolutionalTorso
     head: eqx.nn.Linear
 
-    def __init__(self, key: Key, inputs: int, actions: int, hidden: Hidden = (32, 32), scale: Scale | None = None):
+    def __init__(
+        self, key: Key, inputs: int | Shape, actions: int, hidden: Hidden = (32, 32), scale: Scale | None = None
+    ):
         torso_key, head_key = jax.random.split(key)
-        self.torso = MLP(torso_key, inputs, hidden, scale)
+        self.torso = torso_for(torso_key, inputs, hidden, scale)
         self.head = eqx.nn.Linear(hidden[-1], actions, key=head_key)
 
     def __call__(self, obs: Observation) -> Float[Array, "actions"]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from upslope.errors import UpslopeError
 from upslope.prior_file import TrainedOn, read_prior_file
 
 
@@ -57,6 +58,11 @@ class NumpyPotential:
         return features @ self._head + self._head_bias
 
     def _prepare(self) -> None:
+        if len(self.trained_on.observation_shape) != 1:
+            raise UpslopeError(
+                f"Plain numpy evaluates priors on vectors only, and this one is on {self.trained_on.observation_shape}: "
+                "load it with Prior.load instead."
+            )
         tensors = {name: tensor.astype(np.float64) for name, tensor in self._tensors.items()}
         names = [f"torso.layers.{i}" for i in range(len(self.trained_on.hidden))]
         layers = [(tensors[f"{name}.weight"], tensors[f"{name}.bias"]) for name in names]

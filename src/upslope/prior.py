@@ -97,7 +97,7 @@ def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: d
         observation_shape=family.observation_shape,
         observation_scale=family.observation_scale,
         actions=family.actions,
-        hidden=tuple(layer.weight.shape[0] for layer in network.torso.layers),
+        hidden=network.torso.hidden,
         activation=network.torso.activation,
         seed=seed,
         settings=settings,
@@ -110,7 +110,7 @@ def _fill(trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> DuelingQ:
     skeleton = eqx.filter_eval_shape(
         DuelingQ,
         jax.random.key(0),
-        trained_on.observation_shape[0],
+        trained_on.observation_shape,
         trained_on.actions,
         trained_on.hidden,
         trained_on.observation_scale,

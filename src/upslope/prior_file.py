@@ -15,6 +15,9 @@ FORMAT = "upslope-prior"
 FORMAT_VERSION = 1
 ACTIVATIONS = ("relu", "tanh")
 
+#: Kernels of each convolutional layer (Sec. 5.2).
+CHANNELS = (32, 32, 32, 32)
+
 
 @dataclass(frozen=True)
 class TrainedOn:
@@ -88,9 +91,11 @@ def _check_header(trained_on: TrainedOn) -> None:
     """Raises ValueError where the header's entries make no network or no discount."""
     shape, scale, gamma = trained_on.observation_shape, trained_on.observation_scale, trained_on.gamma
     sizes = (*shape, *trained_on.hidden, trained_on.actions)
-    if not (len(shape) == 1 and trained_on.hidden and all(isinstance(size, int) and size > 0 for size in sizes)):
+    if not (len(shape) in (1, 3) and trained_on.hidden and all(isinstance(size, int) and size > 0 for size in sizes)):
         raise ValueError("its sizes make no network")
-    if len(scale) != shape[0] or not all(isinstance(factor, int | float) and math.isfinite(factor) for factor in scale):
+    if len(scale) != shape[-1] or not all(
+        isinstance(factor, int | float) and math.isfinite(factor) for factor in scale
+    ):
         raise ValueError("its scales do not fit the observations")
     if trained_on.activation not in ACTIVATIONS:
         raise ValueError(f"activation {trained_on.activation!r} is unknown")
@@ -115,13 +120,20 @@ def _check_tensors(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndar
 
 
 def tensor_shapes(trained_on: TrainedOn) -> dict[str, tuple[int, ...]]:
-    """The names and shapes of the tensors of a dueling network on a torso of fully connected layers."""
-    inputs = trained_on.observation_shape[0]
+    """The names and shapes of the tensors of a dueling network: on vectors, or on maps with the paper's kernels."""
+    shape = trained_on.observation_shape
+    shapes: dict[str, tuple[int, ...]] = {}
+    prefix, inputs = "torso.layers", shape[0]
+    if len(shape) == 3:
+        pairs = enumerate(pairwise((shape[-1], *CHANNELS)))
+        shapes = {f"torso.kernels.{i}": (3, 3, n, m) for i, (n, m) in pairs}
+        shapes |= {f"torso.biases.{i}": (m,) for i, m in enumerate(CHANNELS)}
+        prefix, inputs = "torso.dense.layers", shape[0] * shape[1] * CHANNELS[-1]
     widths = (inputs, *trained_on.hidden)
-    layers = {f"torso.layers.{i}": (m, n) for i, (n, m) in enumerate(pairwise(widths))}
+    layers = {f"{prefix}.{i}": (m, n) for i, (n, m) in enumerate(pairwise(widths))}
     layers |= {"value_head": (1, widths[-1]), "advantage_head": (trained_on.actions, widths[-1])}
-    return {
+    return shapes | {
         f"{name}.{part}": size
-        for name, shape in layers.items()
-        for part, size in (("weight", shape), ("bias", shape[:1]))
+        for name, size_of in layers.items()
+        for part, size in (("weight", size_of), ("bias", size_of[:1]))
     }

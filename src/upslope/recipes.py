@@ -1,6 +1,6 @@
 """Algorithm 1's settings: the recipe that works, which is the default, and the paper to the letter."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from upslope.errors import UpslopeError
@@ -18,18 +18,29 @@ class MetaTrainingConfig:
         batch_size: samples per task behind each φ_i; the outer loss uses the same ones.
         hidden: widths of the hidden layers.
         activation: of the hidden layers; the paper names none.
-        inner_step_size: α.
+        posterior: what of θ each task adapts: the whole "network", or, for finite tasks, a "table": Q_θ in every state
+            of the task (`upslope.tabular_posterior`). A table is adapted to all of the replay, each pair of state and
+            action counting once; batch_size, first_order, td_gradient and a kept outer_target have no part in it.
+        inner_step_size: α. Of a table, the share of each TD error that one step removes.
         inner_steps: N.
         outer_step_size: β at the start.
         outer_step_size_end: β at the end; it falls linearly.
+        outer_warmup: outer steps over which β rises to its start, linearly.
         outer_optimiser: plain gradient descent, as printed, or Adam.
         outer_updates: outer steps per iteration, each on a fresh draw from the same replays.
         outer_target: whether gradients flow through Q_φ as the target of Eq. 7: "kept" (the literal reading, which
             collapses) or "stopped".
         first_order: with a kept target, whether second derivatives through φ(θ) are left out.
+        task_by_task: take the tasks' gradients one after the other instead of side by side: the same numbers in less
+            memory, and many times faster on CPU where networks are convolutional.
         td_gradient: "semi" (TD targets are constants) or "full" (Eq. 5 differentiated on both sides).
         target_decay: decay per iteration of the averaged network in the inner TD target; None for no such network.
         epsilon: random-action share of the first and of the last task of a batch; those between are spaced evenly.
+            With a table: of the first and last environment of each task.
+        environments: of each task, side by side; only with a table.
+        reward_weight: how often rewarded pairs of state and action count in the outer loss; only with a table.
+        advantage_weight: weight, in the outer loss, of how the errors differ between the actions of a state; only with
+            a table.
         averaging: decay per iteration of the moving average of θ that is the prior; 0 takes θ itself, as printed.
         select_from: the prior is the best snapshot after this share of training, by its greedy return on extra
             training tasks; 1 takes the last, as printed.
@@ -44,17 +55,23 @@ class MetaTrainingConfig:
     batch_size: int = 64
     hidden: tuple[int, ...] = (32, 32)
     activation: Activation = "tanh"
+    posterior: Literal["network", "table"] = "network"
     inner_step_size: float = 0.01
     inner_steps: int = 1
     outer_step_size: float = 0.005
     outer_step_size_end: float = 0.0005
+    outer_warmup: int = 0
     outer_optimiser: Literal["adam", "sgd"] = "adam"
     outer_updates: int = 4
     outer_target: Literal["stopped", "kept"] = "stopped"
     first_order: bool = False
+    task_by_task: bool = False
     td_gradient: Literal["semi", "full"] = "semi"
     target_decay: float | None = 0.9
     epsilon: tuple[float, float] = (0.05, 0.95)
+    environments: int = 1
+    reward_weight: float = 1.0
+    advantage_weight: float = 0.0
     averaging: float = 0.97
     select_from: float = 0.5
     snapshot_every: int = 10
@@ -65,6 +82,8 @@ class MetaTrainingConfig:
         for name in _COUNTS:
             if getattr(self, name) < 1:
                 raise UpslopeError(f"{name} is {getattr(self, name)}, but it counts something: give at least 1.")
+        if self.posterior == "table" and self.outer_target == "kept":
+            raise UpslopeError('A posterior table is a constant in Eq. 7: set outer_target="stopped".')
         shares = {
             "averaging": self.averaging,
             "select_from": self.select_from,
@@ -82,6 +101,7 @@ _COUNTS = (
     "batch_size",
     "inner_steps",
     "outer_updates",
+    "environments",
     "snapshot_every",
     "evaluation_tasks",
     "evaluation_episodes",
@@ -107,3 +127,43 @@ def as_printed() -> MetaTrainingConfig:
         averaging=0.0,
         select_from=1.0,
     )
+
+
+def for_grid_games(iterations: int = 8000) -> MetaTrainingConfig:
+    """Algorithm 1 on grid games: φ_i a table, adapted by many steps on sixteen environments of each of two maps.
+
+    What each choice is worth is told in docs/deviations.md.
+    """
+    return MetaTrainingConfig(
+        iterations=iterations,
+        tasks=2,
+        steps_per_task=50,
+        hidden=(128, 128),
+        activation="relu",
+        posterior="table",
+        inner_step_size=1.0,
+        inner_steps=30,
+        outer_step_size=0.002,
+        outer_step_size_end=0.00002,
+        outer_warmup=50,
+        outer_updates=1,
+        target_decay=None,
+        epsilon=(0.3, 1.0),
+        environments=16,
+        reward_weight=5.0,
+        advantage_weight=30.0,
+        averaging=0.998,
+        select_from=1.0,
+        snapshot_every=max(1, iterations // 16),
+        evaluation_tasks=40,
+        evaluation_episodes=1,
+    )
+
+
+def multi_task_dqn(iterations: int = 8000) -> MetaTrainingConfig:
+    """The control of `for_grid_games`: DQN over all maps, with a target network and its plain loss.
+
+    One inner step of size one makes the posterior a Bellman backup of the target network, and Eq. 7 the loss of DQN.
+    Network, experience and outer optimiser are the same, so equal iterations are equal wall-clock.
+    """
+    return replace(for_grid_games(iterations), inner_steps=1, target_decay=0.99, advantage_weight=0.0)

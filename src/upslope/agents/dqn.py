@@ -70,7 +70,7 @@ class DQN(AbstractLearner):
         key, network_key, start_key, warmup_key = jax.random.split(key, 4)
         network = QNetwork(
             network_key,
-            self.family.observation_shape[0],
+            self.family.observation_shape,
             self.family.actions,
             self.config.hidden,
             self.family.observation_scale,

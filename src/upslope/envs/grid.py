@@ -160,6 +160,10 @@ class GridGame:
         """What is seen from every cell, obstacles and the goal included."""
         return jax.vmap(self.observe, in_axes=(None, 0))(params, jnp.arange(self.cells))
 
+    def state_number(self, obs: Float[Array, "*obs"]) -> Cell:
+        """The cell that an observation was made from."""
+        return jnp.argmax(obs.reshape(self.cells, self.channels)[:, POSITION]).astype(jnp.int32)
+
     def outcomes(self, params: GridParams) -> Outcomes:
         """The dynamics of one map as tables."""
         cells = jnp.arange(self.cells)

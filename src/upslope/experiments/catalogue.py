@@ -13,6 +13,15 @@ from rich.table import Table
 from upslope.errors import UpslopeError
 from upslope.experiments.deviations import DeviationsConfig, deviations, quick_deviations
 from upslope.experiments.figure1 import Figure1Config, PanelName, figure1, quick
+from upslope.experiments.grid_plots import TITLES, draw_grid_priors
+from upslope.experiments.grid_priors import (
+    AIMS,
+    GridPriorsConfig,
+    grid_priors,
+    grid_readings,
+    quick_grid_priors,
+    run_grid_priors,
+)
 from upslope.experiments.learners import ARMS, LearnersConfig, learners, quick_learners
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
@@ -23,7 +32,13 @@ from upslope.run.folder import claimed
 from upslope.run.session import Session, session_in
 from upslope.storage import write_atomically
 
-EXPERIMENTS = ("fig1", "deviations", "learners", "theorems")
+#: Studies of grid priors, by name.
+GRID_PRIORS: dict[str, Callable[[], GridPriorsConfig]] = {
+    "priors-obstacles": partial(grid_priors, "obstacles"),
+    "priors-clean": partial(grid_priors, "clean"),
+    "grid-readings": grid_readings,
+}
+EXPERIMENTS = ("fig1", "deviations", "learners", "theorems", *GRID_PRIORS)
 PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
 
 
@@ -42,7 +57,8 @@ def reproduce(
     """Runs an experiment into an empty folder, and sums it up on the console.
 
     Args:
-        experiment: a figure of the paper, or ``deviations``, ``learners`` or ``theorems``.
+        experiment: a figure of the paper, or ``deviations``, ``learners``, ``theorems``, ``priors-obstacles``,
+            ``priors-clean`` or ``grid-readings``.
         out: the folder; a new one under ``runs/`` if None.
         is_quick: the quick form.
         seeds: how many; the experiment's own number if None.
@@ -76,6 +92,16 @@ def reproduce(
         proofs = quick_theorems(TheoremsConfig()) if is_quick else TheoremsConfig()
         proofs = replace(proofs, first_seed=first_seed, seeds=seeds or proofs.seeds, tasks=tasks or proofs.tasks)
         _reproduce_theorems(proofs, out, resume, console)
+    elif experiment in GRID_PRIORS:
+        study_of_priors = GRID_PRIORS[experiment]()
+        study_of_priors = quick_grid_priors(study_of_priors) if is_quick else study_of_priors
+        study_of_priors = replace(
+            study_of_priors,
+            first_seed=first_seed,
+            seeds=seeds or study_of_priors.seeds,
+            tasks=tasks or study_of_priors.tasks,
+        )
+        _reproduce_grid_priors(experiment, study_of_priors, out, resume, console)
     else:
         tuning = quick_learners(LearnersConfig()) if is_quick else LearnersConfig()
         shifted = tuning.first_seed + first_seed
@@ -125,6 +151,28 @@ def _reproduce_theorems(config: TheoremsConfig, out: Path | None, resume: bool, 
         draw_theorems(results, folder)
     console.print(tables(results), highlight=False, soft_wrap=True)
     console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold]; the picture is {folder / 'figure.png'}.")
+
+
+def _reproduce_grid_priors(
+    name: str, config: GridPriorsConfig, out: Path | None, resume: bool, console: Console
+) -> None:
+    with claimed(out, name, asdict(config), resume=resume) as folder:
+        results, priors = run_grid_priors(config, session_in(folder, resume=resume, final_states=False))
+        write_atomically(folder / "results.json", (json.dumps(results, indent=1) + "\n").encode())
+        for reading, of_seeds in priors.items():
+            for prior in of_seeds:
+                prior.save(folder / f"{reading}-{prior.trained_on.seed}.safetensors", overwrite=resume)
+        draw_grid_priors(results, {measure: aims[config.maps] for measure, aims in AIMS.items()}, folder)
+    console.print(_grid_priors_table(results))
+    console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold], the priors beside it.")
+
+
+def _grid_priors_table(results: dict[str, Any]) -> Table:
+    table = Table("", "seconds", *TITLES.values(), title=f"Priors on unseen maps ({results['maps']})")
+    for row in results["readings"].values():
+        numbers = (f"{sum(row['final'][measure]) / len(row['chosen']):.3g}" for measure in TITLES)
+        table.add_row(row["what"], f"{row['seconds'][-1]:.0f}", *numbers)
+    return table
 
 
 def _deviations_table(results: dict[str, Any]) -> Table:

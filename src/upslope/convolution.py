@@ -1,0 +1,120 @@
+"""The 3 × 3 convolution (stride 1, SAME padding) in forms that are equal, and of very different speed.
+
+XLA's own convolution is fast on CPU only at the top of a program and with weights shared by the batch. Inside a
+compiled loop its gradients are some 40 times slower, and weights of each task's own, as in Algorithm 1's inner step,
+make it a grouped convolution, which is slower still. Matrix products have neither weakness.
+``python -m benchmarks.meta_gradient`` measures all of it.
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Images = Float[Array, "*batch height width _"]
+Kernel = Float[Array, "3 3 inputs outputs"]
+Convolution = Literal["lax", "shifts", "patches", "closed"]
+
+
+def lax_convolution(images: Images, kernel: Kernel) -> Images:
+    """XLA's own."""
+    flat = images.reshape(-1, *images.shape[-3:])
+    result = jax.lax.conv_general_dilated(flat, kernel, (1, 1), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC"))
+    return result.reshape(*images.shape[:-1], kernel.shape[-1])
+
+
+def shifted_products(images: Images, kernel: Kernel) -> Images:
+    """Nine matrix products with shifted images, added up."""
+    windows = _windows(images)
+    products = [window @ kernel[divmod(index, 3)] for index, window in enumerate(windows)]
+    return jnp.sum(jnp.stack(products), axis=0)
+
+
+def patch_product(images: Images, kernel: Kernel) -> Images:
+    """One matrix product with every cell's neighbourhood."""
+    return jnp.concatenate(_windows(images), axis=-1) @ kernel.reshape(-1, kernel.shape[-1])
+
+
+# Three bilinear maps, each with the two others as its derivatives: those of <cotangents, convolution(images, kernel)>.
+# However often they are differentiated, only patches and matrix products come out, and nothing is scattered.
+# They allow reverse mode only. Under vmap over images the kernel's gradient is made image by image and added up after.
+
+
+@jax.custom_vjp
+def closed_convolution(images: Images, kernel: Kernel) -> Images:
+    """Three matrix products of three shifts each, closed under differentiation."""
+    return _row_products(images, kernel)
+
+
+@jax.custom_vjp
+def transposed_convolution(cotangents: Images, kernel: Kernel) -> Images:
+    """The derivative of `closed_convolution` by its images."""
+    return _row_products(cotangents, kernel[::-1, ::-1].swapaxes(2, 3))
+
+
+@jax.custom_vjp
+def correlation(images: Images, cotangents: Images) -> Kernel:
+    """The derivative of `closed_convolution` by its kernel."""
+    inputs, outputs = images.shape[-1], cotangents.shape[-1]
+    columns = _shifted(images, -2, (-1, 0, 1)).reshape(-1, 3 * inputs)
+    rows = _shifted(cotangents, -3, (1, 0, -1)).reshape(-1, 3 * outputs)
+    return (columns.T @ rows).reshape(3, inputs, 3, outputs).transpose(2, 0, 1, 3)
+
+
+closed_convolution.defvjp(
+    lambda images, kernel: (closed_convolution(images, kernel), (images, kernel)),
+    lambda kept, cotangents: (transposed_convolution(cotangents, kept[1]), correlation(kept[0], cotangents)),
+)
+transposed_convolution.defvjp(
+    lambda cotangents, kernel: (transposed_convolution(cotangents, kernel), (cotangents, kernel)),
+    lambda kept, images: (closed_convolution(images, kept[1]), correlation(images, kept[0])),
+)
+correlation.defvjp(
+    lambda images, cotangents: (correlation(images, cotangents), (images, cotangents)),
+    lambda kept, kernel: (transposed_convolution(kept[1], kernel), closed_convolution(kept[0], kernel)),
+)
+
+FORMS: dict[str, Callable[[Images, Kernel], Images]] = {
+    "lax": lax_convolution,
+    "shifts": shifted_products,
+    "patches": patch_product,
+    "closed": closed_convolution,
+}
+
+#: What was fastest in compiled loops, by back end (docs/performance.md).
+FASTEST: dict[str, Convolution] = {"cpu": "patches"}
+
+
+def fastest_form(backend: str | None = None) -> Convolution:
+    """The form of the convolution to use on a back end; JAX's default one if None.
+
+    Where nothing was measured yet, that is one product with patches: it batches well everywhere.
+    """
+    return FASTEST.get(backend or jax.default_backend(), "patches")
+
+
+def _windows(images: Images) -> list[Images]:
+    """The images seen from each cell's nine neighbours, row by row; zero beyond the border."""
+    height, width = images.shape[-3:-1]
+    padded = jnp.pad(images, [(0, 0)] * (images.ndim - 3) + [(1, 1), (1, 1), (0, 0)])
+    return [padded[..., row : row + height, column : column + width, :] for row in range(3) for column in range(3)]
+
+
+def _row_products(images: Images, kernel: Kernel) -> Images:
+    """One product of three column shifts with all three rows of the kernel; its thirds are shifted and added."""
+    inputs, outputs = kernel.shape[2:]
+    columns = _shifted(images, -2, (-1, 0, 1))
+    products = columns @ kernel.transpose(1, 2, 0, 3).reshape(3 * inputs, 3 * outputs)
+    above, here, below = jnp.split(products, 3, axis=-1)
+    return _shifted(above, -3, (-1,)) + here + _shifted(below, -3, (1,))
+
+
+def _shifted(images: Images, axis: int, steps: tuple[int, ...]) -> Images:
+    """What lies so many cells further along an axis, for each step, side by side on the last axis."""
+    margins = [(0, 0)] * images.ndim
+    margins[axis] = (1, 1)
+    padded, length = jnp.pad(images, margins), images.shape[axis]
+    parts = [jax.lax.slice_in_dim(padded, 1 + step, 1 + step + length, axis=images.ndim + axis) for step in steps]
+    return jnp.concatenate(parts, axis=-1)

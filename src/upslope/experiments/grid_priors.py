@@ -1,0 +1,202 @@
+"""Priors of grid games over their training: how near V comes to V*, and what Algorithm 1's readings are worth."""
+
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from upslope.experiments.keys import Purpose, key_for, keys_for
+from upslope.measures import Truth, dead_units, feature_norm, measure_all, summarise, tables, truths
+from upslope.meta_training import MetaTraining, best_snapshot
+from upslope.networks import DuelingQ
+from upslope.planning import lookahead
+from upslope.prior import Prior, trained_on
+from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.run.compiling import compile_clock
+from upslope.run.loop import Outcome, broadcast, run
+from upslope.run.machine import hardware, versions
+from upslope.run.session import Session
+from upslope.tasks import JaxTasks, clean_maps, obstacle_maps
+from upslope.types import Task
+
+Maps = Literal["obstacles", "clean"]
+
+#: What the curves show, with the project's aims for Algorithm 1 on unseen obstacle maps and clean maps.
+AIMS: dict[str, dict[Maps, float]] = {
+    "rank_correlation": {"obstacles": 0.95, "clean": 0.97},
+    "action_optimality": {"obstacles": 0.88, "clean": 0.9},
+    "success": {"obstacles": 0.7, "clean": 0.9},
+}
+
+
+class Reading(NamedTuple):
+    """One way to learn a prior."""
+
+    what: str
+    config: MetaTrainingConfig
+
+
+@dataclass(frozen=True)
+class GridPriorsConfig:
+    """Which priors are learned, and where they are tried.
+
+    Attributes:
+        maps: "obstacles": 8 × 8, 4,000 training maps; or "clean": 10 × 10, 800, no test goal ever a training goal.
+        readings: by name.
+        seeds: priors of each.
+        first_seed: seeds are first_seed, first_seed + 1, …; the test maps are drawn by it too.
+        tasks: unseen maps.
+    """
+
+    maps: Maps
+    readings: dict[str, Reading]
+    seeds: int = 1
+    first_seed: int = 0
+    tasks: int = 100
+
+
+def grid_priors(maps: Maps, iterations: int = 6000) -> GridPriorsConfig:
+    """The recipe."""
+    return GridPriorsConfig(maps, {"algorithm1": Reading("Algorithm 1, φ a table, N = 30", for_grid_games(iterations))})
+
+
+def grid_readings(iterations: int = 1500) -> GridPriorsConfig:
+    """The recipe with one thing changed at a time, and plain multi-task DQN; equal iterations cost the same."""
+    recipe, dqn = for_grid_games(iterations), multi_task_dqn(iterations)
+    return GridPriorsConfig(
+        "obstacles",
+        {
+            "algorithm1": Reading("Algorithm 1, φ a table, N = 30", recipe),
+            "one_step": Reading("N = 1", replace(recipe, inner_steps=1)),
+            "unweighted": Reading("N = 30, Eq. 7 alone", replace(recipe, advantage_weight=0.0)),
+            "multi_task_dqn": Reading("multi-task DQN", dqn),
+            "weighted_dqn": Reading("multi-task DQN, weighted like the recipe", replace(dqn, advantage_weight=30.0)),
+        },
+    )
+
+
+def quick_grid_priors(config: GridPriorsConfig) -> GridPriorsConfig:
+    """A minute or two: shows that all works, says nothing."""
+    readings = {
+        name: Reading(what, replace(reading, iterations=40, snapshot_every=20, evaluation_tasks=5))
+        for name, (what, reading) in config.readings.items()
+    }
+    return replace(config, readings=readings, seeds=1, tasks=10)
+
+
+def families(maps: Maps) -> tuple[JaxTasks, JaxTasks]:
+    """Training maps, and the family that unseen ones are drawn from."""
+    if maps == "clean":
+        return clean_maps("train", held_out="goals"), clean_maps("test", held_out="goals")
+    return obstacle_maps("train"), obstacle_maps("test")
+
+
+def run_grid_priors(
+    config: GridPriorsConfig, session: Session | None = None
+) -> tuple[dict[str, Any], dict[str, list[Prior]]]:
+    """Learns every prior, and measures it over its training on unseen maps.
+
+    Returns:
+        The content of results.json, and the priors of each reading, one per seed.
+    """
+    began = time.perf_counter()
+    family, unseen = families(config.maps)
+    rows: dict[str, Any] = {}
+    priors: dict[str, list[Prior]] = {}
+    with compile_clock() as clock:
+        tasks = unseen.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
+        known = truths(family.env, tasks, family.gamma)
+        for name, (what, settings) in config.readings.items():
+            outcome = run(
+                broadcast(MetaTraining(family, settings), (config.seeds,)),
+                keys_for(config.first_seed, config.seeds, Purpose.META_TRAINING),
+                updates=settings.iterations,
+                every=settings.snapshot_every,
+                title=f"{config.maps}: {name}",
+                session=session,
+            )
+            rows[name] = {"what": what} | describe(family, known, tasks, outcome, settings)
+            priors[name] = _priors(family, outcome, settings, config.first_seed)
+    results = {
+        "figure": "grid priors",
+        "maps": config.maps,
+        "readings": rows,
+        "seconds_compiling": clock.seconds,
+        "seconds_running": time.perf_counter() - began - clock.seconds,
+        "versions": versions(),
+        "hardware": hardware(),
+        "configuration": {
+            "seeds": config.seeds,
+            "first_seed": config.first_seed,
+            "tasks": config.tasks,
+            "readings": {name: asdict(reading.config) for name, reading in config.readings.items()},
+        },
+    }
+    return results, priors
+
+
+def describe(
+    family: JaxTasks, known: Truth, tasks: Task, outcome: Outcome, config: MetaTrainingConfig
+) -> dict[str, Any]:
+    """The curves of one reading; those of each measure ``[seeds][snapshots]``, as mean, median and worst over maps."""
+    seeds, snapshots = outcome.reports["return"].shape
+    curves: dict[str, Any] = {}
+    for seed in range(seeds):
+        for index in range(snapshots):
+            network = jax.tree.map(lambda leaf, i=seed, j=index: jnp.asarray(leaf[i, j]), outcome.reports["prior"])
+            measures = summarise(measure_all(family.env, known, tasks, network, family.max_steps))
+            extras = {name: {"mean": float(value)} for name, value in health(family, known, tasks, network).items()}
+            for measure, numbers in (measures | extras).items():
+                for kind, number in numbers.items():
+                    rows = curves.setdefault(measure, {}).setdefault(kind, [[] for _ in range(seeds)])
+                    rows[seed].append(number)
+    chosen = [best_snapshot(row, config) for row in outcome.reports["return"]]
+    return {
+        "iterations": outcome.updates.tolist(),
+        "seconds": (outcome.updates / outcome.updates[-1] * outcome.seconds_running).tolist(),
+        "seconds_compiling": outcome.seconds_compiling,
+        "outer_loss": outcome.metrics["outer_loss"].tolist(),
+        "success_on_training_maps": outcome.reports["return"].tolist(),
+        "chosen": [int(outcome.updates[index]) for index in chosen],
+        "measures": curves,
+        "final": {
+            name: [float(row[index]) for row, index in zip(kinds["mean"], chosen, strict=True)]
+            for name, kinds in curves.items()
+        },
+    }
+
+
+@eqx.filter_jit
+def health(family: JaxTasks, known: Truth, tasks: Task, network: DuelingQ) -> dict[str, Float[Array, ""]]:
+    """What shows a collapse: the TD residual over all states that count, the features' norm, the dead units' share."""
+
+    def residual(known: Truth, task: Task) -> Float[Array, ""]:
+        value, q = tables(family.env, task, network)
+        squares = (lookahead(known.mdp, value) - q) ** 2
+        return jnp.sum(squares, where=known.states[:, None]) / (jnp.sum(known.states) * family.actions)
+
+    observations = jax.vmap(family.env.observe_all)(tasks)
+    features = jax.vmap(network.torso)(observations.reshape(-1, *observations.shape[2:]))
+    return {
+        "td_residual": jnp.mean(jax.vmap(residual)(known, tasks)),
+        "feature_norm": feature_norm(features),
+        "dead_units": dead_units(features),
+    }
+
+
+def _priors(family: JaxTasks, outcome: Outcome, config: MetaTrainingConfig, first_seed: int) -> list[Prior]:
+    found = []
+    for seed, returns in enumerate(outcome.reports["return"]):
+        best = best_snapshot(returns, config)
+        network = jax.tree.map(lambda leaf, i=seed, j=best: jnp.asarray(leaf[i, j]), outcome.reports["prior"])
+        measured = {
+            "iteration": int(outcome.updates[best]),
+            "return_on_training_tasks": float(np.asarray(returns)[best]),
+        }
+        found.append(Prior(network, trained_on(family, network, first_seed + seed, asdict(config) | measured)))
+    return found

@@ -1,0 +1,113 @@
+"""The forms of the convolution: sums by hand, and lax.conv as the referee of values, first and second derivatives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from upslope.convolution import FORMS, fastest_form, lax_convolution
+
+OTHERS = sorted(set(FORMS) - {"lax"})
+SHAPES = [(2, 5, 6, 3, 4), (1, 1, 1, 2, 3), (3, 1, 4, 1, 2), (2, 2, 2, 4, 1)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def images_and_kernel(shape, seed=0):
+    batch, height, width, inputs, outputs = shape
+    keys = jax.random.split(jax.random.key(seed), 2)
+    return jax.random.normal(keys[0], (batch, height, width, inputs)), jax.random.normal(
+        keys[1], (3, 3, inputs, outputs)
+    )
+
+
+def by_hand(images, kernel):
+    batch, height, width, _ = images.shape
+    result = np.zeros((batch, height, width, kernel.shape[-1]))
+    for row in range(height):
+        for column in range(width):
+            for down in (-1, 0, 1):
+                for right in (-1, 0, 1):
+                    if 0 <= row + down < height and 0 <= column + right < width:
+                        result[:, row, column] += images[:, row + down, column + right] @ kernel[down + 1, right + 1]
+    return result
+
+
+def derivatives(form, images, kernel):
+    """First derivatives of something bent, and second ones along something bent again."""
+
+    def first(images, kernel):
+        return jax.grad(lambda *both: jnp.sum(jnp.sin(form(*both)) ** 2), (0, 1))(images, kernel)
+
+    def bent(images, kernel):
+        return sum(jnp.sum(jnp.cos(part)) for part in first(images, kernel))
+
+    return jax.jit(lambda *both: (first(*both), jax.grad(bent, (0, 1))(*both)))(images, kernel)
+
+
+@pytest.mark.parametrize("form", sorted(FORMS))
+@pytest.mark.parametrize("shape", SHAPES)
+def test_values_by_hand(form, shape):
+    images, kernel = images_and_kernel(shape)
+    np.testing.assert_allclose(
+        jax.jit(FORMS[form])(images, kernel), by_hand(np.asarray(images), np.asarray(kernel)), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("form", OTHERS)
+@pytest.mark.parametrize("shape", SHAPES[:2])
+def test_first_and_second_derivatives_are_those_of_lax(form, shape):
+    both = images_and_kernel(shape)
+    for ours, theirs in zip(
+        jax.tree.leaves(derivatives(FORMS[form], *both)), jax.tree.leaves(derivatives(lax_convolution, *both)),
+        strict=True,
+    ):  # fmt: skip
+        assert np.abs(theirs).max() > 1e-2, "there is something to compare"
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("form", OTHERS)
+def test_third_derivatives_too(form):
+    images, kernel = images_and_kernel((1, 3, 2, 2, 2))
+
+    def third(form):
+        def bent(image_share, kernel_share):
+            return jnp.sum(jnp.sin(form(image_share * images, kernel_share * kernel)))
+
+        return jax.jit(jax.grad(jax.grad(jax.grad(bent, 0), 1), 0))(jnp.asarray(0.7), jnp.asarray(1.3))
+
+    np.testing.assert_allclose(third(FORMS[form]), third(lax_convolution), rtol=1e-9)
+
+
+@pytest.mark.parametrize("form", sorted(FORMS))
+def test_any_leading_axes_and_none(form):
+    images, kernel = images_and_kernel((6, 4, 3, 2, 5))
+    convolve = jax.jit(FORMS[form])
+    flat = convolve(images, kernel)
+    np.testing.assert_allclose(convolve(images.reshape(2, 3, 4, 3, 2), kernel).reshape(flat.shape), flat, atol=1e-12)
+    np.testing.assert_allclose(convolve(images[0], kernel), flat[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("form", OTHERS)
+def test_mapped_over_images_and_over_weights(form):
+    images, _ = images_and_kernel((3, 4, 3, 2, 5))
+    kernels = jax.random.normal(jax.random.key(7), (3, 3, 3, 2, 5))
+
+    def gradients(form):
+        shared = jax.grad(lambda kernel: jnp.sum(jnp.sin(jax.vmap(form, (0, None))(images, kernel))))(kernels[0])
+        own = jax.grad(lambda kernels: jnp.sum(jnp.sin(jax.vmap(form)(images, kernels))))(kernels)
+        return shared, own
+
+    gradients = jax.jit(gradients, static_argnums=0)
+    for ours, theirs in zip(gradients(FORMS[form]), gradients(lax_convolution), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+def test_the_form_is_chosen_by_back_end():
+    assert fastest_form("cpu") == "closed"
+    assert fastest_form("never heard of") == "patches"
+    assert fastest_form() == "closed", "the tests run on a CPU"
