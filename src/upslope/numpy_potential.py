@@ -60,8 +60,8 @@ class NumpyPotential:
     def _prepare(self) -> None:
         if len(self.trained_on.observation_shape) != 1:
             raise UpslopeError(
-                f"Plain numpy evaluates priors on vectors only, and this one is on {self.trained_on.observation_shape}: "
-                "load it with Prior.load instead."
+                "Plain numpy evaluates priors on vectors only, and this one is on observations of shape "
+                f"{self.trained_on.observation_shape}: load it with Prior.load instead."
             )
         tensors = {name: tensor.astype(np.float64) for name, tensor in self._tensors.items()}
         names = [f"torso.layers.{i}" for i in range(len(self.trained_on.hidden))]
