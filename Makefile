@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
-.PHONY: demo test test-slow lint clean
+.PHONY: demo test test-slow reliability lint clean
 
 demo: $(INSTALLED) ## set up, and reproduce Figure 1 into a new folder under runs/
 	$(BIN)/upslope reproduce fig1
@@ -15,6 +15,9 @@ test: $(INSTALLED) lint ## set up, and pass the fast tests
 
 test-slow: $(INSTALLED) ## the learning checks, with real training
 	$(BIN)/pytest -m slow
+
+reliability: $(INSTALLED) ## kills, signals, damaged files, full disks; ten minutes
+	$(BIN)/python -m reliability
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

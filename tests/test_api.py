@@ -59,7 +59,7 @@ def test_training_reports_raw_returns_whatever_the_potential() -> None:
 
 
 def test_a_potential_that_is_not_finite_somewhere_stops_the_run() -> None:
-    with pytest.raises(UpslopeError, match="not a finite number by update"):
+    with pytest.raises(UpslopeError, match="not a finite number at update"):
         train(POLES, TASK, lambda obs: jnp.where(obs[2] == 0, 0.0, jnp.inf), updates=4, every=2, config=SMALL)
 
 

@@ -11,14 +11,16 @@ README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 
 
 def test_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    code = "\n".join(re.findall(r"```python\n(.*?)```", README, re.DOTALL))
     monkeypatch.chdir(tmp_path)
     names: dict = {}
     exec(compile(code, "README.md", "exec"), names)
     assert (tmp_path / "cartpole.safetensors").is_file()
     assert names["returns"].shape == (21,)
     assert names["outcome"].reports["return"].shape == (1, 11)
-    assert capsys.readouterr().out.startswith("[[")
+    output = capsys.readouterr().out
+    assert output.startswith("[[")
+    assert names["shaped"].gamma == 0.98
 
 
 @pytest.mark.parametrize("command", sorted(set(re.findall(r"`upslope ([a-z-]+)", README))))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from upslope.recipes import MetaTrainingConfig
     from upslope.run.checkpoints import Checkpoints
     from upslope.run.session import Session
-    from upslope.tasks import cartpoles
+    from upslope.tasks import cartpoles, clean_maps, grid_games, obstacle_maps
     from upslope.wrappers import PotentialShaping, check_shaping
 
 # Imported when first asked for: a simulator process that only shapes rewards never imports JAX.
@@ -27,6 +27,9 @@ _HOMES = {
     "UpslopeError": "upslope.errors",
     "adapt": "upslope.api",
     "cartpoles": "upslope.tasks",
+    "clean_maps": "upslope.tasks",
+    "grid_games": "upslope.tasks",
+    "obstacle_maps": "upslope.tasks",
     "check_shaping": "upslope.wrappers",
     "meta_train": "upslope.api",
     "train": "upslope.api",
@@ -43,7 +46,10 @@ __all__ = [
     "adapt",
     "cartpoles",
     "check_shaping",
+    "clean_maps",
+    "grid_games",
     "meta_train",
+    "obstacle_maps",
     "train",
 ]
 
