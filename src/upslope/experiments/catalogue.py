@@ -13,7 +13,7 @@ from rich.table import Table
 from upslope.errors import UpslopeError
 from upslope.experiments.deviations import DeviationsConfig, deviations, quick_deviations
 from upslope.experiments.figure1 import Figure1Config, PanelName, figure1, quick
-from upslope.experiments.grid_plots import TITLES, draw_grid_priors
+from upslope.experiments.grid_prior_plots import TITLES, draw_grid_priors
 from upslope.experiments.grid_priors import (
     AIMS,
     GridPriorsConfig,
