@@ -33,8 +33,8 @@ def tiny():
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "priors"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(catalogue.GRID_PRIORS, "priors-obstacles", tiny)
-        catalogue.reproduce("priors-obstacles", out=out, console=Console(quiet=True), tasks=3)
+        patch.setitem(catalogue.GRID_PRIORS, "fig4", tiny)
+        catalogue.reproduce("fig4", out=out, console=Console(quiet=True), tasks=3)
     return out
 
 
@@ -51,6 +51,11 @@ def test_curves_have_a_point_for_every_snapshot(row):
     for measure in ("td_residual", "feature_norm", "dead_units"):
         assert np.shape(row["measures"][measure]["mean"]) == (1, 3)
     assert row["final"]["td_residual"] == [row["measures"]["td_residual"]["mean"][0][-1]]
+
+
+@pytest.mark.parametrize("picture", ["figure.png", "figure.pdf", "map.png", "sheet.png"])
+def test_pictures_are_drawn(folder, picture):
+    assert (folder / picture).stat().st_size > 5000
 
 
 def test_the_prior_on_disk_is_the_last_average(folder, row):
