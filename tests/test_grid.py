@@ -35,10 +35,10 @@ class TestTransitions:
         ids=["8x8", "3x11", "clean 10x10", "traps", "traps and slipping"],
     )
     def test_every_cell_and_action_as_in_plain_python(self, family):
-        env, maps = family.env, draw(family, 8)
+        env, maps = family.env, draw(family, 4)
         tables = jax.tree.map(np.asarray, jax.jit(jax.vmap(env.outcomes))(maps))
         acted = 0
-        for index in range(8):
+        for index in range(4):
             board = as_board(pick(maps, index))
             penalty, slip = float(maps.trap_penalty[index]), float(maps.slip[index])
             for cell in range(env.cells):
@@ -56,7 +56,7 @@ class TestTransitions:
                     for there, outcome in expected.items():
                         assert found[there] == pytest.approx(outcome)
                     acted += 1
-        assert acted > 200
+        assert acted > 150
 
     def test_a_step_does_what_the_tables_say(self):
         tables = jax.tree.map(np.asarray, GAME.outcomes(SMALL))

@@ -34,6 +34,16 @@ def training():
 
 
 @pytest.fixture(scope="module")
+def clean_training():
+    return clean_maps("train").sample_params.maps
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return draw(clean_maps(), 20_000)
+
+
+@pytest.fixture(scope="module")
 def unseen():
     return draw(obstacle_maps("test"), 2000, seed=1)
 
@@ -52,8 +62,8 @@ class TestReachability:
         ids=["8x8", "dense", "traps", "nearly full", "two cells", "a column with held-out goals"],
     )
     def test_breadth_first_search_finds_the_goal_from_every_start(self, family):
-        maps = draw(family, 300)
-        for index in range(300):
+        maps = draw(family, 60)
+        for index in range(60):
             one = pick(maps, index)
             board, start = as_board(one), divmod(int(one.start), family.env.width)
             assert distances(board)[start] > 0
@@ -78,25 +88,22 @@ class TestDistribution:
         assert float(maps.traps.mean()) == pytest.approx(0.8 * 0.25, abs=0.006)
         assert not np.any(maps.obstacles & maps.traps)
 
-    def test_clean_maps_are_clean_and_their_ends_uniform(self):
-        maps = draw(clean_maps(), 20_000)
-        assert not np.any(maps.obstacles)
-        assert np.all(maps.start != maps.goal)
-        for ends in (maps.start, maps.goal):
+    def test_clean_maps_are_clean_and_their_ends_uniform(self, clean):
+        assert not np.any(clean.obstacles)
+        assert np.all(clean.start != clean.goal)
+        for ends in (clean.start, clean.goal):
             np.testing.assert_allclose(np.bincount(ends, minlength=100) / 20_000, 0.01, atol=0.0035)
 
     def test_other_keys_draw_other_maps(self):
-        family = grid_games()
-        one, two = (rows(draw(family, 5, seed)) for seed in range(2))
-        assert len(set(one + two)) == 10
+        one, two = (rows(draw(obstacle_maps(), 60, seed)) for seed in range(2))
+        assert len(set(one + two)) == 120
 
 
 class TestFixedSets:
-    def test_the_papers_sizes_all_distinct(self, training):
+    def test_the_papers_sizes_all_distinct(self, training, clean_training):
         assert len(set(rows(training))) == 4000
-        clean = clean_maps("train").sample_params.maps
-        assert clean.obstacles.shape == (800, 10, 10)
-        assert len(set(rows(clean))) == 800
+        assert clean_training.obstacles.shape == (800, 10, 10)
+        assert len(set(rows(clean_training))) == 800
 
     def test_a_family_of_fixed_maps_draws_all_of_them_and_no_others(self):
         family = grid_games((4, 4), maps=5, maps_seed=3)
@@ -109,11 +116,10 @@ class TestFixedSets:
         assert_trees_identical(first, again)
         assert rows(first) != rows(other)
 
-    def test_the_papers_sets_never_change(self, training):
+    def test_the_papers_sets_never_change(self, training, clean_training):
         # Results are quoted for these very maps.
         assert int(jnp.sum(fingerprints(training), dtype=jnp.uint32)) == GOLDEN_OBSTACLES
-        clean = clean_maps("train").sample_params.maps
-        assert int(jnp.sum(fingerprints(clean), dtype=jnp.uint32)) == GOLDEN_CLEAN
+        assert int(jnp.sum(fingerprints(clean_training), dtype=jnp.uint32)) == GOLDEN_CLEAN
 
     def test_more_maps_than_there_are(self):
         with pytest.raises(UpslopeError, match=r"Only 12 distinct maps were found where 13"):
@@ -131,15 +137,12 @@ class TestSplits:
         assert float(unseen.obstacles.mean()) == pytest.approx(0.2, abs=0.0045)
         assert len(set(rows(unseen))) == 2000
 
-    def test_a_fifth_of_all_maps_belongs_to_the_tests(self):
-        for family in (obstacle_maps(), clean_maps()):
-            share = are_test_maps(draw(family, 4000, seed=2)).mean()
-            assert float(share) == pytest.approx(0.2, abs=0.04)
+    def test_a_fifth_of_all_maps_belongs_to_the_tests(self, clean):
+        assert float(are_test_maps(clean).mean()) == pytest.approx(0.2, abs=0.04)
+        assert float(are_test_maps(draw(grid_games(), 2000)).mean()) == pytest.approx(0.2, abs=0.04)
 
-    def test_clean_splits_share_no_map(self):
-        train, test = (clean_maps(split) for split in ("train", "test"))
-        drawn = draw(test, 1000)
-        assert not set(rows(train.sample_params.maps)) & set(rows(drawn))
+    def test_clean_splits_share_no_map(self, clean_training):
+        assert not set(rows(clean_training)) & set(rows(draw(clean_maps("test"), 1000)))
 
     def test_held_out_goals_were_never_trained_on(self):
         train, test = (clean_maps(split, held_out="goals") for split in ("train", "test"))

@@ -80,25 +80,26 @@ class TestByHand:
 
 
 class TestAgainstBreadthFirstSearch:
-    @pytest.mark.parametrize("family", [grid_games(), grid_games((5, 12), obstacles=0.35)], ids=["8x8", "5x12"])
-    def test_values_are_gamma_to_the_distance(self, family):
-        maps = draw(family, 100)
+    def test_values_are_gamma_to_the_distance(self):
+        family = grid_games((5, 12), obstacles=0.35)
+        maps = draw(family, 60)
         found = jax.tree.map(np.asarray, solve_all(family.env, maps, GAMMA))
-        for index in range(100):
+        for index in range(60):
             steps = distances(as_board(pick(maps, index))).ravel()
             expected = np.where(steps > 0, GAMMA ** (steps - 1.0), 0.0)
             np.testing.assert_allclose(found.value[index], expected, rtol=1e-5)
         np.testing.assert_array_equal(found.residual, 0)
 
     def test_optimal_actions_are_those_that_lead_one_step_nearer(self):
-        family = grid_games(obstacles=0.3)
-        maps = draw(family, 30, seed=1)
+        family = grid_games((5, 12), obstacles=0.35)
+        maps = draw(family, 60)
         found = solve_all(family.env, maps, GAMMA)
         best = np.asarray(best_actions(found.action_value))
+        tables = jax.jit(jax.vmap(lambda one: family.env.outcomes(one).successors))(maps)
         several = 0
-        for index in range(30):
+        for index in range(60):
             steps = distances(as_board(pick(maps, index))).ravel()
-            successors = np.asarray(family.env.outcomes(pick(maps, index)).successors)[..., 0]
+            successors = np.asarray(tables[index])[..., 0]
             for cell in np.flatnonzero(steps > 0):
                 np.testing.assert_array_equal(best[index, cell], steps[successors[cell]] == steps[cell] - 1)
                 several += best[index, cell].sum() > 1
@@ -129,7 +130,7 @@ class TestAgainstTheReferee:
 
     def test_the_optimal_policy_is_worth_the_optimal_value(self):
         family = grid_games(slip=0.2, traps=0.1)
-        mdp = tabulate(family.env, pick(draw(family, 1), 0), GAMMA)
+        mdp = tabulate(family.env, pick(draw(family, 1000), 0), GAMMA)
         found = value_iteration(mdp)
         greedy = jax.nn.one_hot(jnp.argmax(found.action_value, axis=-1), 4)
         np.testing.assert_allclose(evaluate_policy(mdp, greedy), found.value, atol=2e-6)
@@ -147,10 +148,10 @@ class TestAgainstTheReferee:
 
 class TestInBulk:
     def test_thousands_at_once_are_the_same_as_one_by_one(self):
-        family = grid_games(slip=0.3, traps=0.1)
+        family = grid_games(slip=0.2, traps=0.1)
         maps = draw(family, 1000)
         every = solve_all(family.env, maps, GAMMA)
-        for index in (0, 499, 999):
+        for index in (0, 999):
             alone = value_iteration(tabulate(family.env, pick(maps, index), GAMMA))
             np.testing.assert_allclose(every.value[index], alone.value, atol=1e-6)
             np.testing.assert_allclose(every.action_value[index], alone.action_value, atol=1e-6)

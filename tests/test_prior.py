@@ -15,7 +15,7 @@ from upslope.errors import UpslopeError
 from upslope.networks import DuelingQ
 from upslope.prior import Prior, TrainedOn, trained_on
 from upslope.prior_file import FORMAT, FORMAT_VERSION
-from upslope.tasks import cartpoles
+from upslope.tasks import cartpoles, grid_games
 
 FAMILY = cartpoles(gamma=0.97)
 SETTINGS = {"iterations": 7, "epsilon": [0.05, 0.95], "target_decay": None}
@@ -35,6 +35,18 @@ def path(tmp_path):
 def saved(path):
     PRIOR.save(path)
     return path
+
+
+def test_a_convolutional_prior_comes_back_bit_for_bit(path):
+    family = grid_games((3, 4))
+    network = DuelingQ(jax.random.key(0), family.observation_shape, 4, (6, 5), family.observation_scale)
+    Prior(network, trained_on(family, network, 3, SETTINGS)).save(path)
+    loaded = Prior.load(path)
+    assert_trees_identical(loaded.network, network)
+    assert loaded.trained_on.hidden == (6, 5)
+    loaded.check(family, acting=True)
+    with pytest.raises(UpslopeError, match="observation shape"):
+        loaded.check(grid_games((4, 3)))
 
 
 def rewritten(path, *, tensors=None, header=None, version=FORMAT_VERSION):

@@ -57,7 +57,8 @@ class MetaTraining(AbstractLearner):
     def init(self, key: Key) -> MetaTrainingState:
         key, trial_key, network_key = jax.random.split(key, 3)
         family, config = self.family, self.config
-        if config.posterior == "table" and not hasattr(getattr(family, "env", None), "observe_all"):
+        is_finite = isinstance(family, JaxTasks) and hasattr(family.env, "observe_all")
+        if config.posterior == "table" and not is_finite:
             raise UpslopeError(f"{family.name} tasks are not finite, so no table fits them: adapt the whole network.")
         theta = DuelingQ(
             network_key,
@@ -99,7 +100,8 @@ class MetaTraining(AbstractLearner):
 
     def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition | TableSamples:
         """Fresh replays D_i ``[tasks, steps, ...]``, ε-greedy by Q_θ, with its own ε for each task or environment."""
-        if self.config.posterior == "table" and isinstance(self.family, JaxTasks):
+        if self.config.posterior == "table":
+            assert isinstance(self.family, JaxTasks), "init refuses all others"
             epsilon = jnp.linspace(*self.config.epsilon, self.config.environments)
             return collect_steps(key, self.family, tasks, theta, epsilon, self.config.steps_per_task)
         reset_key, act_key = jax.random.split(key)

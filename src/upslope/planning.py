@@ -79,7 +79,7 @@ def value_iteration(mdp: TabularMDP, *, tolerance: float = 1e-7, max_iterations:
         following = jnp.max(lookahead(mdp, value), axis=-1)
         return following, jnp.max(jnp.abs(following - value)), count + 1
 
-    start = jnp.zeros(mdp.acting.shape, jnp.result_type(mdp.rewards, mdp.discounts))
+    start = jnp.zeros(mdp.acting.shape, jnp.result_type(mdp.rewards, mdp.discounts, mdp.probabilities))
     infinite = jnp.full((), jnp.inf, start.dtype)
     value, residual, count = jax.lax.while_loop(is_moving, iterate, (start, infinite, jnp.zeros((), jnp.int32)))
     return Solution(value, lookahead(mdp, value), residual, count)
@@ -105,7 +105,7 @@ def evaluate_policy(
         following = jnp.sum(policy * lookahead(mdp, value), axis=-1)
         return following, jnp.max(jnp.abs(following - value)), count + 1
 
-    start = jnp.zeros(mdp.acting.shape, jnp.result_type(mdp.rewards, mdp.discounts))
+    start = jnp.zeros(mdp.acting.shape, jnp.result_type(mdp.rewards, mdp.discounts, mdp.probabilities))
     infinite = jnp.full((), jnp.inf, start.dtype)
     return jax.lax.while_loop(is_moving, iterate, (start, infinite, jnp.zeros((), jnp.int32)))[0]
 

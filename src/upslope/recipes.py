@@ -129,7 +129,7 @@ def as_printed() -> MetaTrainingConfig:
     )
 
 
-def for_grid_games(iterations: int = 8000) -> MetaTrainingConfig:
+def for_grid_games(iterations: int = 6000) -> MetaTrainingConfig:
     """Algorithm 1 on grid games: φ_i a table, adapted by many steps on sixteen environments of each of two maps.
 
     What each choice is worth is told in docs/deviations.md.
@@ -160,7 +160,7 @@ def for_grid_games(iterations: int = 8000) -> MetaTrainingConfig:
     )
 
 
-def multi_task_dqn(iterations: int = 8000) -> MetaTrainingConfig:
+def multi_task_dqn(iterations: int = 6000) -> MetaTrainingConfig:
     """The control of `for_grid_games`: DQN over all maps, with a target network and its plain loss.
 
     One inner step of size one makes the posterior a Bellman backup of the target network, and Eq. 7 the loss of DQN.

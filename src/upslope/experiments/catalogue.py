@@ -13,7 +13,7 @@ from rich.table import Table
 from upslope.errors import UpslopeError
 from upslope.experiments.deviations import DeviationsConfig, deviations, quick_deviations
 from upslope.experiments.figure1 import Figure1Config, PanelName, figure1, quick
-from upslope.experiments.grid_plots import TITLES, draw_grid_priors
+from upslope.experiments.grid_prior_plots import TITLES, draw_grid_priors
 from upslope.experiments.grid_priors import (
     AIMS,
     GridPriorsConfig,
@@ -23,6 +23,7 @@ from upslope.experiments.grid_priors import (
     run_grid_priors,
 )
 from upslope.experiments.learners import ARMS, LearnersConfig, learners, quick_learners
+from upslope.experiments.map_figures import draw_map_figures
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
 from upslope.experiments.results import write_results
@@ -32,13 +33,13 @@ from upslope.run.folder import claimed
 from upslope.run.session import Session, session_in
 from upslope.storage import write_atomically
 
-#: Studies of grid priors, by name.
+#: Experiments that learn priors of grid games: the paper's Figures 2 and 4, and a study.
 GRID_PRIORS: dict[str, Callable[[], GridPriorsConfig]] = {
-    "priors-obstacles": partial(grid_priors, "obstacles"),
-    "priors-clean": partial(grid_priors, "clean"),
+    "fig2": partial(grid_priors, "clean"),
+    "fig4": partial(grid_priors, "obstacles"),
     "grid-readings": grid_readings,
 }
-EXPERIMENTS = ("fig1", "deviations", "learners", "theorems", *GRID_PRIORS)
+EXPERIMENTS = ("fig1", *GRID_PRIORS, "deviations", "learners", "theorems")
 PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
 
 
@@ -57,8 +58,7 @@ def reproduce(
     """Runs an experiment into an empty folder, and sums it up on the console.
 
     Args:
-        experiment: a figure of the paper, or ``deviations``, ``learners``, ``theorems``, ``priors-obstacles``,
-            ``priors-clean`` or ``grid-readings``.
+        experiment: a figure of the paper, or ``deviations``, ``learners``, ``theorems`` or ``grid-readings``.
         out: the folder; a new one under ``runs/`` if None.
         is_quick: the quick form.
         seeds: how many; the experiment's own number if None.
@@ -163,8 +163,9 @@ def _reproduce_grid_priors(
             for prior in of_seeds:
                 prior.save(folder / f"{reading}-{prior.trained_on.seed}.safetensors", overwrite=resume)
         draw_grid_priors(results, {measure: aims[config.maps] for measure, aims in AIMS.items()}, folder)
+        draw_map_figures(config, priors["algorithm1"][0], folder)
     console.print(_grid_priors_table(results))
-    console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold], the priors beside it.")
+    console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold], the priors and pictures beside it.")
 
 
 def _grid_priors_table(results: dict[str, Any]) -> Table:

@@ -37,7 +37,12 @@ def optimal_potential(family: JaxTasks, maps: GridParams) -> CellPotential:
 
 def manhattan_potential(family: JaxTasks, maps: GridParams) -> CellPotential:
     """What one would design by hand for stacked maps ``[n, ...]``: V* as if there were no obstacles and no traps."""
-    return CellPotential(jax.vmap(lambda one: manhattan_values(family.env, one, family.gamma))(maps))
+    return CellPotential(_manhattan_of_all(family.env, maps, family.gamma))
+
+
+@eqx.filter_jit
+def _manhattan_of_all(env: Any, maps: GridParams, gamma: float) -> Float[Array, "n cells"]:
+    return jax.vmap(lambda one: manhattan_values(env, one, gamma))(maps)
 
 
 def manhattan_values(env: Any, params: GridParams, gamma: float) -> Float[Array, "cells"]:

@@ -1,0 +1,23 @@
+"""Figures 2 and 4: unseen maps beside what the prior says of them, and a sheet of many, worst and best included."""
+
+from pathlib import Path
+
+import numpy as np
+
+from upslope.experiments.grid_plots import draw_one, draw_sheet, learned_maps, spread_by_rank
+from upslope.experiments.grid_priors import GridPriorsConfig, families
+from upslope.experiments.keys import Purpose, key_for
+from upslope.measures import truths
+from upslope.prior import Prior
+
+ON_THE_SHEET = 24
+
+
+def draw_map_figures(config: GridPriorsConfig, prior: Prior, folder: Path) -> None:
+    """Writes map.png, the first unseen map, which nobody chose; and sheet.png, evenly from the worst to the best."""
+    family, unseen = families(config.maps)
+    maps = unseen.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
+    learned = learned_maps(family.env, truths(family.env, maps, family.gamma), maps, prior.network, family.max_steps)
+    draw_one(learned[0], folder / "map.png")
+    shown = spread_by_rank(np.array([one.measures.rank_correlation for one in learned]), ON_THE_SHEET)
+    draw_sheet([learned[index] for index in shown], folder / "sheet.png")

@@ -1,0 +1,98 @@
+"""The study of grid priors: what it measures, what it writes, what can be loaded again."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+from rich.console import Console
+
+from upslope.experiments import catalogue
+from upslope.experiments.grid_priors import (
+    GridPriorsConfig,
+    Reading,
+    families,
+    grid_readings,
+    quick_grid_priors,
+    td_residual,
+)
+from upslope.measures import truths
+from upslope.prior import Prior
+from upslope.recipes import for_grid_games
+
+
+def tiny():
+    reading = dataclasses.replace(
+        for_grid_games(2), hidden=(8, 8), environments=2, steps_per_task=20, snapshot_every=1, evaluation_tasks=2
+    )
+    return GridPriorsConfig("obstacles", {"algorithm1": Reading("tiny", reading)}, tasks=3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "priors"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(catalogue.GRID_PRIORS, "fig4", tiny)
+        catalogue.reproduce("fig4", out=out, console=Console(quiet=True), tasks=3)
+    return out
+
+
+@pytest.fixture(scope="module")
+def row(folder):
+    return json.loads((folder / "results.json").read_text(encoding="utf-8"))["readings"]["algorithm1"]
+
+
+def test_curves_have_a_point_for_every_snapshot(row):
+    assert row["iterations"] == [0, 1, 2]
+    for measure in ("rank_correlation", "squared_error", "action_optimality", "success", "discounted_return"):
+        for kind in ("mean", "median", "worst"):
+            assert np.shape(row["measures"][measure][kind]) == (1, 3)
+    for measure in ("td_residual", "feature_norm", "dead_units"):
+        assert np.shape(row["measures"][measure]["mean"]) == (1, 3)
+    assert row["final"]["td_residual"] == [row["measures"]["td_residual"]["mean"][0][-1]]
+
+
+@pytest.mark.parametrize("picture", ["figure.png", "figure.pdf", "map.png", "sheet.png"])
+def test_pictures_are_drawn(folder, picture):
+    assert (folder / picture).stat().st_size > 5000
+
+
+def test_the_prior_on_disk_is_the_last_average(folder, row):
+    prior = Prior.load(folder / "algorithm1-0.safetensors")
+    family, _ = families("obstacles")
+    prior.check(family, acting=True)
+    assert prior.trained_on.settings["iteration"] == row["chosen"][0] == 2
+    assert prior.trained_on.settings["posterior"] == "table"
+    obs = family.env.observe_all(family.sample(jax.random.key(0)))
+    assert np.isfinite(prior.values(obs)).all()
+
+
+def test_td_residual():
+    family, _ = families("obstacles")
+    tasks = family.sample_many(jax.random.key(2), 1)
+    known = jax.tree.map(lambda leaf: leaf[0], truths(family.env, tasks, family.gamma))
+    value, q = known.solution.value, known.solution.action_value
+    assert float(td_residual(known, value, q)) == pytest.approx(0, abs=1e-9)
+    assert float(td_residual(known, value, q + 0.5)) == pytest.approx(0.25, rel=1e-4)
+
+
+def test_training_and_test_goals_of_clean_maps_are_apart():
+    train, test = families("clean")
+    goals = set(np.asarray(train.sample_params.maps.goal).tolist())
+    unseen = set(np.asarray(test.sample_many(jax.random.key(0), 100).goal).tolist())
+    assert len(goals) > 50
+    assert not goals & unseen
+
+
+def test_readings_change_what_they_say():
+    readings = grid_readings().readings
+    recipe = dataclasses.asdict(readings["algorithm1"].config)
+    changed = {
+        name: {key for key, value in dataclasses.asdict(config).items() if value != recipe[key]}
+        for name, (_, config) in readings.items()
+    }
+    assert changed["one_step"] == {"inner_steps"}
+    assert changed["unweighted"] == {"advantage_weight"}
+    assert changed["multi_task_dqn"] == {"inner_steps", "target_decay", "advantage_weight"}
+    assert all(reading.config.iterations == 40 for reading in quick_grid_priors(grid_readings()).readings.values())
