@@ -58,8 +58,8 @@ def learned_maps(env: GridGame, known: Truth, maps: GridParams, network: Any, st
             pick(maps, index),
             value[index],
             q[index],
-            known.solution.value[index],
-            known.states[index],
+            np.asarray(known.solution.value[index]),
+            np.asarray(known.states[index]),
             pick(measures, index),
         )
         for index in range(len(value))
