@@ -7,6 +7,7 @@ import pytest
 from support.plain_grids import draw
 from upslope import train
 from upslope.agents.dqn import DQNConfig
+from upslope.commands import Poles
 from upslope.envs.grid import POSITION
 from upslope.errors import UpslopeError
 from upslope.tasks import FAMILIES, clean_maps, grid_games, obstacle_maps
@@ -109,6 +110,11 @@ class TestCollecting:
         along = (goal_row == 9) & (goal_column > column)
         np.testing.assert_array_equal(returns, (below | along).astype(float))
         assert 0 < returns.sum() < 50
+
+
+def test_the_command_line_says_that_it_knows_no_grids_yet():
+    with pytest.raises(UpslopeError, match="cartpole only"):
+        Poles().family("grid")
 
 
 def test_a_dqn_with_an_mlp_learns_one_map():

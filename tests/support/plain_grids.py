@@ -25,8 +25,8 @@ def draw(family, count, seed=0) -> GridParams:
 
 
 def pick(maps, index):
-    """One of stacked maps; as arrays of JAX's wherever it is used there."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf[index]), maps)
+    """One of stacked maps."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), maps)
 
 
 def from_text(text: str, *, penalty=1.0, slip=0.0, max_steps=50) -> GridParams:
