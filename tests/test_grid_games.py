@@ -117,6 +117,7 @@ def test_the_command_line_says_that_it_knows_no_grids_yet():
         Poles().family("grid")
 
 
+@pytest.mark.slow
 def test_a_dqn_with_an_mlp_learns_one_map():
     family = grid_games((4, 4), flat=True, maps=1, maps_seed=2)
     task = family.sample(jax.random.key(0))

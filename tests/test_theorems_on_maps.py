@@ -77,6 +77,7 @@ class TestTheorem31:
         assert found["solved"]["Manhattan"] < 0.8
         assert found["solved"]["none"] < 0.6
 
+    @pytest.mark.slow
     def test_with_slippery_moves_it_holds_in_expectation_only(self):
         maps = draw_maps(kinds()["traps, slippery 8×8"], 300, seed=3)
         with jax.enable_x64(True):
