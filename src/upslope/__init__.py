@@ -13,11 +13,12 @@ if TYPE_CHECKING:
     from upslope.recipes import MetaTrainingConfig
     from upslope.run.checkpoints import Checkpoints
     from upslope.run.session import Session
-    from upslope.tasks import cartpoles, clean_maps, grid_games, obstacle_maps
+    from upslope.tasks import GymnasiumTasks, cartpoles, clean_maps, grid_games, obstacle_maps
     from upslope.wrappers import PotentialShaping, check_shaping
 
 # Imported when first asked for: a simulator process that only shapes rewards never imports JAX.
 _HOMES = {
+    "GymnasiumTasks": "upslope.tasks",
     "Checkpoints": "upslope.run.checkpoints",
     "MetaTrainingConfig": "upslope.recipes",
     "NumpyPotential": "upslope.numpy_potential",
@@ -37,6 +38,7 @@ _HOMES = {
 
 __all__ = [
     "Checkpoints",
+    "GymnasiumTasks",
     "MetaTrainingConfig",
     "NumpyPotential",
     "PotentialShaping",

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
+from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Metrics, Transition
 
 
@@ -31,6 +32,30 @@ class AbstractLearner(eqx.Module):
     @abstractmethod
     def report(self, state: Any) -> dict[str, Any]:
         """What is recorded between chunks of steps: at least ``return``, the raw greedy return. Changes no state."""
+
+
+class AbstractTaskLearner(AbstractLearner):
+    """A learner that gathers experience from the tasks of a family.
+
+    Its step falls into two phases: only the first touches environments, and only the second computes gradients. With
+    a compiled family both stand in one program; with a host family the first runs on the host, the second is compiled.
+
+    Attributes:
+        family: of the tasks.
+    """
+
+    family: eqx.AbstractVar[AbstractFamily]
+
+    @abstractmethod
+    def gather(self, state: Any) -> Any:
+        """The experience of one step."""
+
+    @abstractmethod
+    def update(self, state: Any, gathered: Any) -> tuple[Any, Metrics]:
+        """What is learned from it: a pure function that JAX can trace."""
+
+    def step(self, state: Any) -> tuple[Any, Metrics]:
+        return self.update(state, self.gather(state))
 
 
 def vital_signs(seen: Transition) -> Metrics:

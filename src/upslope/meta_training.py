@@ -10,7 +10,7 @@ import optax
 from jaxtyping import Array, Float
 
 from upslope.errors import UpslopeError
-from upslope.learner import AbstractLearner, vital_signs
+from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import prior_learning_loss, td_loss
 from upslope.maml import adapt, gradient_task_by_task
 from upslope.networks import DuelingQ
@@ -48,7 +48,7 @@ class TaskSamples(eqx.Module):
     next_q: Float[Array, "*tasks batch actions"] | None
 
 
-class MetaTraining(AbstractLearner):
+class MetaTraining(AbstractTaskLearner):
     """Algorithm 1. One step is one meta-iteration; the state's ``average`` is the prior."""
 
     family: AbstractFamily
@@ -70,20 +70,23 @@ class MetaTraining(AbstractLearner):
         )
         return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta))
 
-    def step(self, state: MetaTrainingState) -> tuple[MetaTrainingState, Metrics]:
-        key, task_key, collect_key, update_key = jax.random.split(state.key, 4)
-        experience = self.collect(collect_key, self.family.sample_many(task_key, self.config.tasks), state.theta)
+    def gather(self, state: MetaTrainingState) -> Transition | TableSamples:
+        _, task_key, collect_key, _ = jax.random.split(state.key, 4)
+        return self.collect(collect_key, self.family.sample_many(task_key, self.config.tasks), state.theta)
 
-        def update(carry: tuple[DuelingQ, Any], key: Key) -> tuple[tuple[DuelingQ, Any], Metrics]:
+    def update(self, state: MetaTrainingState, gathered: Transition | TableSamples) -> tuple[MetaTrainingState, Metrics]:
+        key, _, _, update_key = jax.random.split(state.key, 4)
+
+        def outer_step(carry: tuple[DuelingQ, Any], key: Key) -> tuple[tuple[DuelingQ, Any], Metrics]:
             theta, optimiser = carry
-            samples = self.draw(key, experience, state.target)
+            samples = self.draw(key, gathered, state.target)
             loss, gradient = self.outer_gradient(theta, samples)
             change, optimiser = self._optimiser().update(gradient, optimiser)
             metrics = {"outer_loss": loss, "gradient_norm": optax.tree.norm(gradient)}
             return (optax.apply_updates(theta, change), optimiser), metrics
 
         keys = jax.random.split(update_key, self.config.outer_updates)
-        (theta, optimiser), metrics = jax.lax.scan(update, (state.theta, state.optimiser), keys)
+        (theta, optimiser), metrics = jax.lax.scan(outer_step, (state.theta, state.optimiser), keys)
         following = MetaTrainingState(
             key,
             state.trial_key,
@@ -92,10 +95,10 @@ class MetaTraining(AbstractLearner):
             self._average(theta, state.average),
             optimiser,
         )
-        if isinstance(experience, TableSamples):
-            signs = {"reward": jnp.mean(experience.steps.reward, axis=-1)}
+        if isinstance(gathered, TableSamples):
+            signs = {"reward": jnp.mean(gathered.steps.reward, axis=-1)}
         else:
-            signs = vital_signs(experience)
+            signs = vital_signs(gathered)
         return following, signs | jax.tree.map(jnp.mean, metrics)
 
     def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition | TableSamples:
@@ -104,10 +107,8 @@ class MetaTraining(AbstractLearner):
             assert isinstance(self.family, JaxTasks), "init refuses all others"
             epsilon = jnp.linspace(*self.config.epsilon, self.config.environments)
             return collect_steps(key, self.family, tasks, theta, epsilon, self.config.steps_per_task)
-        reset_key, act_key = jax.random.split(key)
         policy = EpsilonGreedy(theta, jnp.linspace(*self.config.epsilon, self.config.tasks))
-        running = self.family.reset(reset_key, tasks)
-        return self.family.collect(act_key, tasks, running, policy, self.config.steps_per_task)[1]
+        return self.family.rollout(key, tasks, policy, self.config.steps_per_task)
 
     def draw(self, key: Key, experience: Transition | TableSamples, target: DuelingQ) -> TaskSamples | TableSamples:
         """The samples of every task ``[tasks, batch, ...]``, used by the inner and the outer loss alike."""

@@ -1,56 +1,119 @@
-"""How learners act: policies are small PyTrees over a batch of observations, so that any family can run them."""
+"""How learners act: policies are small PyTrees over a batch of observations, so that any family can run them.
 
+On the host a policy draws its noise for many steps at once, in one compiled call, and then acts in numpy: the same
+actions for the same keys.
+"""
+
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
-from upslope.types import Key
+from upslope.numpy_networks import numpy_batch
+from upslope.types import Key, Keys
 
 
-class Greedy(eqx.Module):
+class AbstractPolicy(eqx.Module):
+    """A policy in two parts: the noise of a step, which depends on nothing else, and what is done with it.
+
+    Attributes:
+        network: scores of the actions, or the action itself, of one observation.
+    """
+
+    network: eqx.AbstractVar[Callable[..., Float[Array, "..."]]]
+
+    @abstractmethod
+    def noise(self, key: Key, shape: tuple[int, ...]) -> Any:
+        """What is drawn for one step, for outputs of the network of this shape ``[n, actions]``."""
+
+    @abstractmethod
+    def choose(self, noise: Any, outputs: Any, xp: Any) -> Any:
+        """Actions ``[n, ...]`` from the network's outputs ``[n, actions]``, with jax.numpy or numpy as ``xp``."""
+
+    def __call__(self, key: Key, obs: Float[Array, "n *obs"]) -> Any:
+        outputs = jax.vmap(self.network)(obs)
+        return self.choose(self.noise(key, outputs.shape), outputs, jnp)
+
+    def on_host(self, keys: Keys, shape: tuple[int, ...]) -> Callable[[int, np.ndarray], np.ndarray] | None:
+        """The policy in numpy, from a step's number and observations ``[n, *obs]``; None if it has no such form.
+
+        Args:
+            keys: one for each step ``[steps]``.
+            shape: of the network's outputs ``[n, actions]``.
+        """
+        network = numpy_batch(self.network)
+        if network is None:
+            return None
+        noise = jax.tree.map(np.asarray, _noises(self, keys, shape))
+
+        def act(step: int, obs: np.ndarray) -> np.ndarray:
+            return self.choose(jax.tree.map(lambda leaf: leaf[step], noise), network(obs), np)
+
+        return act
+
+
+def _noises_of_steps(policy: AbstractPolicy, keys: Keys, shape: tuple[int, ...]) -> Any:
+    return jax.vmap(lambda key: policy.noise(key, shape))(keys)
+
+
+_noises = jax.jit(_noises_of_steps, static_argnames="shape")
+
+
+class Greedy(AbstractPolicy):
     """The action of the highest score: Q(s, ·) or A(s, ·)."""
 
-    scores: Callable[..., Float[Array, "actions"]]
+    network: Callable[..., Float[Array, "actions"]]
 
-    def __call__(self, key: Key, obs: Float[Array, "n *obs"]) -> Int[Array, "n"]:
-        del key
-        return jnp.argmax(jax.vmap(self.scores)(obs), axis=-1)
+    def noise(self, key: Key, shape: tuple[int, ...]) -> None:
+        del key, shape
+
+    def choose(self, noise: None, outputs: Any, xp: Any) -> Any:
+        del noise
+        return xp.argmax(outputs, axis=-1)
 
 
-class EpsilonGreedy(eqx.Module):
+class EpsilonGreedy(AbstractPolicy):
     """A uniformly random action with probability ε (one for all, or one for each of the n), else the greedy one."""
 
-    scores: Callable[..., Float[Array, "actions"]]
+    network: Callable[..., Float[Array, "actions"]]
     epsilon: Float[Array, "..."] | float
 
-    def __call__(self, key: Key, obs: Float[Array, "n *obs"]) -> Int[Array, "n"]:
-        scores = jax.vmap(self.scores)(obs)
+    def noise(self, key: Key, shape: tuple[int, ...]) -> tuple[Any, Int[Array, "n"]]:
         explore_key, action_key = jax.random.split(key)
-        explore = jax.random.uniform(explore_key, scores.shape[:1]) < self.epsilon
-        anything = jax.random.randint(action_key, scores.shape[:1], 0, scores.shape[-1])
-        return jnp.where(explore, anything, jnp.argmax(scores, axis=-1))
+        explore = jax.random.uniform(explore_key, shape[:1]) < self.epsilon
+        return explore, jax.random.randint(action_key, shape[:1], 0, shape[-1])
+
+    def choose(self, noise: Any, outputs: Any, xp: Any) -> Any:
+        explore, anything = noise
+        return xp.where(explore, anything, xp.argmax(outputs, axis=-1))
 
 
-class Noisy(eqx.Module):
+class Noisy(AbstractPolicy):
     """A deterministic actor's action plus Gaussian noise of standard deviation σ, clipped to [−1, 1]."""
 
-    actor: Callable[..., Float[Array, "actions"]]
+    network: Callable[..., Float[Array, "actions"]]
     sigma: Any
 
-    def __call__(self, key: Key, obs: Float[Array, "n *obs"]) -> Float[Array, "n actions"]:
-        action = jax.vmap(self.actor)(obs)
-        return jnp.clip(action + self.sigma * jax.random.normal(key, action.shape), -1.0, 1.0)
+    def noise(self, key: Key, shape: tuple[int, ...]) -> Float[Array, "n actions"]:
+        return self.sigma * jax.random.normal(key, shape)
+
+    def choose(self, noise: Any, outputs: Any, xp: Any) -> Any:
+        return xp.clip(outputs + noise, -1.0, 1.0)
 
 
-class Deterministic(eqx.Module):
+class Deterministic(AbstractPolicy):
     """A deterministic actor's own action."""
 
-    actor: Callable[..., Float[Array, "actions"]]
+    network: Callable[..., Float[Array, "actions"]]
 
-    def __call__(self, key: Key, obs: Float[Array, "n *obs"]) -> Float[Array, "n actions"]:
-        del key
-        return jax.vmap(self.actor)(obs)
+    def noise(self, key: Key, shape: tuple[int, ...]) -> None:
+        del key, shape
+
+    def choose(self, noise: None, outputs: Any, xp: Any) -> Any:
+        del noise
+        return outputs

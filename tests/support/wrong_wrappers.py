@@ -101,10 +101,10 @@ class Centred(Right):
 
 
 class TwoVersions(Right):
-    """Φ moves on after 400 steps, but is checked against its first version."""
+    """Φ moves on after 250 steps, but is checked against its first version."""
 
     def phi(self, obs):
-        return phi(obs) if self.steps < 400 else phi(obs) + float(np.sin(5 * obs[0]))
+        return phi(obs) if self.steps < 250 else phi(obs) + float(np.sin(5 * obs[0]))
 
 
 class Growing(Right):

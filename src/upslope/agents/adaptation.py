@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from upslope.agents.experience import Experience, greedy_return
-from upslope.learner import AbstractLearner, vital_signs
+from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import advantage_loss, value_loss
 from upslope.maml import descend
 from upslope.networks import DuelingQ
@@ -96,7 +96,7 @@ class AdaptationState(eqx.Module):
     experience: Experience
 
 
-class Adaptation(AbstractLearner):
+class Adaptation(AbstractTaskLearner):
     """Few-shot learning of one task from a prior, by one of the update rules.
 
     The policy follows the A head, whatever the rule: Eq. 6's Q has its maximum at the same action.
@@ -118,12 +118,15 @@ class Adaptation(AbstractLearner):
         experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity)
         return AdaptationState(key, self.prior, experience)
 
-    def step(self, state: AdaptationState) -> tuple[AdaptationState, Metrics]:
-        key, act_key, sample_key = jax.random.split(state.key, 3)
+    def gather(self, state: AdaptationState) -> tuple[Any, Transition]:
+        _, act_key, _ = jax.random.split(state.key, 3)
         policy = EpsilonGreedy(state.phi.advantage, self.config.epsilon)
-        experience, seen = state.experience.extend(
-            act_key, self.family, self.task, policy, self.config.steps_per_update
-        )
+        return state.experience.act(act_key, self.family, self.task, policy, self.config.steps_per_update)
+
+    def update(self, state: AdaptationState, gathered: tuple[Any, Transition]) -> tuple[AdaptationState, Metrics]:
+        key, _, sample_key = jax.random.split(state.key, 3)
+        running, seen = gathered
+        experience = state.experience.remember(running, seen)
         batch = experience.sample(sample_key, self.config.batch_size).transition
         phi = self.rule.update(state.phi, self.prior, batch, self.step_size)
         moved = jnp.mean(jnp.abs(jax.vmap(phi.value)(batch.obs) - jax.vmap(self.prior.value)(batch.obs)))

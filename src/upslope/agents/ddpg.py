@@ -1,6 +1,7 @@
 """DDPG on continuous actions, shaped or not: the learner of Fig. 1, right."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,7 +10,7 @@ import optax
 
 from upslope.agents.dqn import adam
 from upslope.agents.experience import Experience, greedy_return
-from upslope.learner import AbstractLearner, vital_signs
+from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import huber
 from upslope.networks import Actor, Critic
 from upslope.policies import Deterministic, Noisy
@@ -63,7 +64,7 @@ class DDPGState(eqx.Module):
     experience: Experience
 
 
-class DDPG(AbstractLearner):
+class DDPG(AbstractTaskLearner):
     """DDPG on one task, with rewards shaped where the batch is used."""
 
     family: AbstractFamily
@@ -83,13 +84,16 @@ class DDPG(AbstractLearner):
         optimisers = (self._adam().init(actor), self._adam().init(critic))
         return DDPGState(key, actor, critic, actor, critic, optimisers, experience)
 
-    def step(self, state: DDPGState) -> tuple[DDPGState, Metrics]:
-        key, act_key, sample_key = jax.random.split(state.key, 3)
+    def gather(self, state: DDPGState) -> tuple[Any, Transition]:
+        _, act_key, _ = jax.random.split(state.key, 3)
+        policy = Noisy(state.actor, self.config.noise)
+        return state.experience.act(act_key, self.family, self.task, policy, self.config.steps_per_update)
+
+    def update(self, state: DDPGState, gathered: tuple[Any, Transition]) -> tuple[DDPGState, Metrics]:
+        key, _, sample_key = jax.random.split(state.key, 3)
         config = self.config
-        policy = Noisy(state.actor, config.noise)
-        experience, seen = state.experience.extend(
-            act_key, self.family, self.task, policy, config.steps_per_update, self.shaping
-        )
+        running, seen = gathered
+        experience = state.experience.remember(running, seen, self.shaping)
         batch = shape(*experience.sample(sample_key, config.batch_size))
 
         critic_objective, critic_gradient = jax.value_and_grad(critic_loss)(

@@ -1,6 +1,7 @@
 """Vanilla DQN, shaped or not: the learner of Fig. 1, middle."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 import optax
 
 from upslope.agents.experience import Experience, greedy_return
-from upslope.learner import AbstractLearner, vital_signs
+from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import huber, td_error
 from upslope.networks import QNetwork
 from upslope.policies import EpsilonGreedy, Greedy
@@ -58,7 +59,7 @@ class DQNState(eqx.Module):
     experience: Experience
 
 
-class DQN(AbstractLearner):
+class DQN(AbstractTaskLearner):
     """DQN on one task, with rewards shaped where the batch is used."""
 
     family: AbstractFamily
@@ -81,12 +82,15 @@ class DQN(AbstractLearner):
         )
         return DQNState(key, network, network, self._adam().init(network), experience)
 
-    def step(self, state: DQNState) -> tuple[DQNState, Metrics]:
-        key, act_key, sample_key = jax.random.split(state.key, 3)
+    def gather(self, state: DQNState) -> tuple[Any, Transition]:
+        _, act_key, _ = jax.random.split(state.key, 3)
         policy = EpsilonGreedy(state.network, self.config.epsilon)
-        experience, seen = state.experience.extend(
-            act_key, self.family, self.task, policy, self.config.steps_per_update, self.shaping
-        )
+        return state.experience.act(act_key, self.family, self.task, policy, self.config.steps_per_update)
+
+    def update(self, state: DQNState, gathered: tuple[Any, Transition]) -> tuple[DQNState, Metrics]:
+        key, _, sample_key = jax.random.split(state.key, 3)
+        running, seen = gathered
+        experience = state.experience.remember(running, seen, self.shaping)
         batch = shape(*experience.sample(sample_key, self.config.batch_size))
         loss, gradient = jax.value_and_grad(dqn_loss)(state.network, state.target, batch, self.config.huber_threshold)
         change, optimiser = self._adam().update(gradient, state.optimiser)

@@ -41,6 +41,16 @@ class Experience(eqx.Module):
         record = Record(example, None if shaping is None else jnp.zeros(()))
         return cls(family.reset(key, _alone(task)), Replay.empty(record, capacity))
 
+    def act(self, key: Key, family: AbstractFamily, task: Task, policy: Policy, steps: int) -> tuple[Any, Transition]:
+        """Acts for ``steps`` steps: the running environment after them, and the raw transitions ``[steps, ...]``."""
+        running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
+        return running, jax.tree.map(lambda leaf: leaf[0], transitions)
+
+    def remember(self, running: Any, transitions: Transition, shaping: Shaping | None = None) -> "Experience":
+        """What `act` gave, added to the replay, with F beside the raw rewards where there is a shaping."""
+        record = Record(transitions, None if shaping is None else shaping.rewards(transitions))
+        return Experience(running, self.replay.add(record))
+
     def extend(
         self,
         key: Key,
@@ -50,15 +60,9 @@ class Experience(eqx.Module):
         steps: int,
         shaping: Shaping | None = None,
     ) -> tuple["Experience", Transition]:
-        """Acts for ``steps`` steps and remembers them, with F beside the raw rewards where there is a shaping.
-
-        Returns:
-            The longer experience, and the new raw transitions ``[steps, ...]``.
-        """
-        running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
-        transitions = jax.tree.map(lambda leaf: leaf[0], transitions)
-        record = Record(transitions, None if shaping is None else shaping.rewards(transitions))
-        return Experience(running, self.replay.add(record)), transitions
+        """`act`, then `remember`: the longer experience, and the new raw transitions ``[steps, ...]``."""
+        running, transitions = self.act(key, family, task, policy, steps)
+        return self.remember(running, transitions, shaping), transitions
 
     def sample(self, key: Key, count: int) -> Record:
         """Draws ``count`` records uniformly."""

@@ -20,12 +20,21 @@ def mesh() -> Mesh:
     return Mesh(jax.local_devices(), (_AXIS,))
 
 
+def devices() -> int:
+    """How many share the learners; their number must be a multiple of it."""
+    return len(jax.local_devices())
+
+
+def close(learners: AbstractLearner) -> None:
+    """Nothing is open."""
+
+
 def spread(batch: Any) -> Any:
     """Lays the leading axis of a stacked PyTree ``[learners, ...]`` over the devices; they must divide it."""
-    devices = mesh()
+    everywhere = mesh()
 
     def place(leaf: Any) -> jax.Array:
-        return jax.device_put(leaf, NamedSharding(devices, P(_AXIS) if jnp.ndim(leaf) else P()))
+        return jax.device_put(leaf, NamedSharding(everywhere, P(_AXIS) if jnp.ndim(leaf) else P()))
 
     return jax.tree.map(place, batch)
 

@@ -2,6 +2,7 @@
 
 import math
 import time
+import warnings
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -10,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from upslope.errors import NotSavedError, UpslopeError
-from upslope.learner import AbstractLearner
-from upslope.run import chunks
+from upslope.learner import AbstractLearner, AbstractTaskLearner
+from upslope.run import chunks, host_chunks
 from upslope.run.checkpoints import Stage, describe
 from upslope.run.compiling import compile_clock
 from upslope.run.health import check_finite
@@ -89,10 +90,14 @@ def run(
     if session.checkpoints is not None:
         stage = session.checkpoints.stage(title, describe(learners, keys, updates, every))
     batch, count = keys.shape, math.prod(keys.shape)
-    learners = jax.tree.map(lambda leaf: _flatten(leaf, batch, count) if np.ndim(leaf) else leaf, learners)
-    learners, keys = chunks.spread((learners, _flatten(unrolled(keys), batch, count)))
+    on_host = isinstance(learners, AbstractTaskLearner) and learners.family.on_host
+    engine: Any = host_chunks if on_host else chunks
+    learners = jax.tree.map(lambda leaf: _flatten(leaf, batch, count, engine) if np.ndim(leaf) else leaf, learners)
+    learners, keys = engine.spread((learners, _flatten(unrolled(keys), batch, count, engine)))
     with compile_clock() as clock:
-        going = _Run(learners, keys, count, [0, *range(every, updates, every), updates], title, allow_divergence)
+        going = _Run(
+            engine, learners, keys, count, [0, *range(every, updates, every), updates], title, allow_divergence
+        )
         if stage is not None:
             going.restore(stage.load(going.skeleton, allow_divergence=allow_divergence))
         for observer in session.observers:
@@ -107,6 +112,7 @@ def run(
             error.outcome = going.outcome(batch, clock.seconds, time.perf_counter() - began, clock.programs)
             raise
         finally:
+            engine.close(learners)
             for observer in session.observers:
                 observer.end()
     return going.outcome(batch, clock.seconds, time.perf_counter() - began, clock.programs)
@@ -116,8 +122,16 @@ class _Run:
     """A run in progress: what `Position` holds, on the devices and as lists."""
 
     def __init__(
-        self, learners: AbstractLearner, keys: Keys, count: int, marks: list[int], title: str, allow_divergence: bool
+        self,
+        engine: Any,
+        learners: AbstractLearner,
+        keys: Keys,
+        count: int,
+        marks: list[int],
+        title: str,
+        allow_divergence: bool,
     ):
+        self.engine = engine
         self.learners, self.keys, self.count, self.marks = learners, keys, count, marks
         self.title, self.allow_divergence = title, allow_divergence
         self.states: Any = None
@@ -130,21 +144,23 @@ class _Run:
     def skeleton(self) -> Position:
         """The shapes of a `Position`, of the learners without the padding."""
         own = jax.tree.map(lambda leaf: leaf[: self.count] if np.ndim(leaf) else leaf, (self.learners, self.keys))
-        states, totals, report = chunks.shapes(*own)
+        states, totals, report = self.engine.shapes(*own)
         return Position(states, totals, 0, report, totals, np.zeros(0))
 
     def restore(self, position: Position | None) -> None:
         """Goes on from a checkpoint."""
         if position is None:
             return
+        if self.engine is host_chunks:
+            warnings.warn(f"{self.title}: episodes on the host can't be restored; new ones are begun.", stacklevel=3)
         self.update, self.times = position.update, position.times.tolist()
         for index in range(len(self.times)):
             at_mark = jax.tree.map(lambda leaf, i=index: leaf[:, i], (position.reports, position.metrics))
             self.reports.append(at_mark[0])
             self.metrics.append(at_mark[1])
         if position.states is not None:
-            padded = jax.tree.map(lambda leaf: _pad(leaf), (position.states, position.totals))
-            self.states, self.totals = chunks.spread(padded)
+            padded = jax.tree.map(lambda leaf: _pad(leaf, self.engine), (position.states, position.totals))
+            self.states, self.totals = self.engine.spread(padded)
 
     def finish(self, session: Session, stage: Stage | None, request: StopRequest) -> None:
         """Takes the steps that are missing."""
@@ -153,7 +169,7 @@ class _Run:
         if len(self.times) == len(self.marks):
             return
         if self.states is None:
-            self.states, self.totals = chunks.start(self.learners, self.keys)
+            self.states, self.totals = self.engine.start(self.learners, self.keys)
         pace = Pace(1.0 if stage else math.inf)
         while len(self.times) < len(self.marks):
             began = time.perf_counter()
@@ -180,7 +196,7 @@ class _Run:
         mark = self.marks[len(self.times)]
         last = self.marks[len(self.times) - 1] if self.times else 0
         at_mark = self.update + steps == mark
-        chunk = chunks.advance(
+        chunk = self.engine.advance(
             self.learners, self.states, self.totals, steps, fresh=self.update == last, report=at_mark
         )
         self.states, self.totals = chunk.states, chunk.totals
@@ -224,12 +240,12 @@ def _along_marks(items: list[Any]) -> Any:
     return jax.tree.map(lambda *leaves: np.stack(leaves, 1), *items) if items else {}
 
 
-def _flatten(leaf: Any, batch: tuple[int, ...], count: int) -> Any:
+def _flatten(leaf: Any, batch: tuple[int, ...], count: int, engine: Any) -> Any:
     """The batch axes as one, padded."""
-    return _pad(leaf.reshape(count, *leaf.shape[len(batch) :]))
+    return _pad(leaf.reshape(count, *leaf.shape[len(batch) :]), engine)
 
 
-def _pad(leaf: Any) -> Any:
+def _pad(leaf: Any, engine: Any) -> Any:
     """Repeats the last learner until the devices divide their number."""
-    missing = -leaf.shape[0] % len(jax.local_devices())
+    missing = -leaf.shape[0] % engine.devices()
     return jnp.concatenate([leaf, *[leaf[-1:]] * missing]) if missing else leaf

@@ -3,9 +3,19 @@
 from upslope.tasks.cartpoles import cartpoles
 from upslope.tasks.family import AbstractFamily
 from upslope.tasks.grids import clean_maps, grid_games, obstacle_maps
+from upslope.tasks.gymnasium_tasks import GymnasiumTasks
 from upslope.tasks.jax_tasks import JaxTasks
 
 #: The families that the command line knows by name.
 FAMILIES = {"cartpole": cartpoles, "grid": grid_games}
 
-__all__ = ["FAMILIES", "AbstractFamily", "JaxTasks", "cartpoles", "clean_maps", "grid_games", "obstacle_maps"]
+__all__ = [
+    "FAMILIES",
+    "AbstractFamily",
+    "GymnasiumTasks",
+    "JaxTasks",
+    "cartpoles",
+    "clean_maps",
+    "grid_games",
+    "obstacle_maps",
+]

@@ -26,7 +26,10 @@ class AbstractFamily(eqx.Module):
         actions: how many discrete actions, or how many numbers in a continuous one.
         continuous: whether actions are numbers in [−1, 1].
         max_steps: the longest episode.
+        on_host: whether environments run in Python, so that experience can't be gathered inside a compiled program.
     """
+
+    on_host: eqx.AbstractClassVar[bool]
 
     name: eqx.AbstractVar[str]
     gamma: eqx.AbstractVar[float]
@@ -51,6 +54,10 @@ class AbstractFamily(eqx.Module):
         Returns:
             The running environments, and transitions ``[n, steps, ...]`` with raw rewards and true successors.
         """
+
+    @abstractmethod
+    def rollout(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Transition:
+        """`reset`, then `collect`, then the environments are given up: transitions ``[n, steps, ...]``."""
 
     @abstractmethod
     def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:

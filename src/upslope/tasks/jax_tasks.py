@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -43,6 +43,8 @@ class JaxTasks(AbstractFamily):
         sample_params: draws one task. A plain function, or a module with array leaves.
     """
 
+    on_host: ClassVar[bool] = False
+
     name: str = eqx.field(static=True)
     env: Any = eqx.field(static=True)
     sample_params: Callable[[Key], Task] = eqx.field(converter=_as_pytree)
@@ -77,6 +79,10 @@ class JaxTasks(AbstractFamily):
 
         running, transitions = jax.lax.scan(one_step, running, jax.random.split(key, steps))
         return running, jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), transitions)
+
+    def rollout(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Transition:
+        reset_key, act_key = jax.random.split(key)
+        return self.collect(act_key, tasks, self.reset(reset_key, tasks), policy, steps)[1]
 
     def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
         reset_key, episode_key = jax.random.split(key)

@@ -86,9 +86,9 @@ class PotentialShaping(VecEnvWrapper):
         Raises:
             UpslopeError: before the first reset, a hidden terminal observation, or where Φ fails.
         """
-        obs, rewards, dones, infos = self.venv.step_wait()
         if self._potentials is None:
             raise UpslopeError("step was called before reset: reset the VecEnv first.")
+        obs, rewards, dones, infos = self.venv.step_wait()
         self._steps += 1
         levels = self._levels(obs)
         following = self._weights() * self._true_successors(levels, dones, infos)

@@ -8,12 +8,10 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode
 from jaxtyping import Bool, Float
 
+from upslope.envs.workers import alive
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
 from upslope.wrappers.terms import Terms
-
-#: What a pipe to a dead worker raises.
-WORKER_DIED = (EOFError, BrokenPipeError, ConnectionResetError)
 
 
 class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
@@ -90,7 +88,7 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         """Resets all sub-environments, or those of ``options["reset_mask"]``."""
         # The mask is copied: Gymnasium takes it out of the options.
         fresh = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
-        obs, infos = _alive(lambda: self.env.reset(seed=seed, options=options))
+        obs, infos = alive(lambda: self.env.reset(seed=seed, options=options))
         self._active = np.where(fresh, self.enabled, self._active)
         previous = np.zeros(self.num_envs) if self._potentials is None else self._potentials
         self._potentials = np.where(fresh, self._counted(obs), previous)
@@ -107,7 +105,7 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         """
         if self._potentials is None:
             raise UpslopeError("step was called before reset: reset the vector environment first.")
-        obs, rewards, terminated, truncated, infos = _alive(lambda: self.env.step(actions))
+        obs, rewards, terminated, truncated, infos = alive(lambda: self.env.step(actions))
         rewards = np.asarray(rewards, np.float64)
         done = np.logical_or(terminated, truncated)
         self._steps += 1
@@ -175,16 +173,6 @@ def _autoreset_mode(env: gym.vector.VectorEnv) -> AutoresetMode:
         raise UpslopeError(
             f"The vector environment does not say how it resets (metadata['autoreset_mode'] is {mode!r}): "
             "set it to one of gymnasium.vector.AutoresetMode."
-        ) from error
-
-
-def _alive(call: Any) -> Any:
-    try:
-        return call()
-    except WORKER_DIED as error:
-        raise UpslopeError(
-            f"A worker process of the vector environment died ({type(error).__name__}): run the environment alone "
-            "in a SyncVectorEnv to see why; running out of memory is the usual cause."
         ) from error
 
 

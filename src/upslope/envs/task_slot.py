@@ -1,0 +1,120 @@
+"""One place in a vector of environments, whose task can be changed; and environments made fit for learners here.
+
+Runs in simulator processes, and needs no JAX.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.wrappers import FlattenObservation, RescaleAction
+
+from upslope.errors import UpslopeError
+
+
+class TaskSlot(gym.Env):
+    """Steps the environment of its task; a new task takes effect at the next reset.
+
+    Attributes:
+        task: what the factory makes the environment from.
+    """
+
+    def __init__(self, make_env: Callable[[Any], gym.Env], observation_space: gym.Space, action_space: gym.Space):
+        """Takes the factory, and the spaces that all of its environments must have, as `fitted` leaves them."""
+        self.observation_space, self.action_space = observation_space, action_space
+        self._make_env = make_env
+        self._task: Any = None
+        self._env: gym.Env | None = None
+
+    @property
+    def task(self) -> Any:
+        return self._task
+
+    @task.setter
+    def task(self, task: Any) -> None:
+        self.close()
+        self._task = task
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Starts an episode of the task.
+
+        Raises:
+            UpslopeError: the factory fails, or its environment has other spaces than those before.
+        """
+        if self._env is None:
+            self._env = made(self._make_env, self._task)
+            theirs = (self._env.observation_space.shape, self._env.action_space)
+            if theirs != (self.observation_space.shape, self.action_space):
+                raise UpslopeError(
+                    f"For the task {self._task!r} make_env gave observations of shape {theirs[0]} and actions "
+                    f"{theirs[1]}, but {self.observation_space.shape} and {self.action_space} before: a family shares "
+                    "its spaces."
+                )
+        obs, _ = self._env.reset(seed=seed, options=options)
+        return self._checked(obs), {}
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        assert self._env is not None
+        obs, reward, terminated, truncated, _ = self._env.step(action)
+        # Infos are not passed on: nobody here reads them, and gathering them would cost more than the step.
+        return self._checked(obs), float(reward), bool(terminated), bool(truncated), {}
+
+    def close(self) -> None:
+        if self._env is not None:
+            self._env.close()
+            self._env = None
+
+    def _checked(self, obs: Any) -> np.ndarray:
+        if np.shape(obs) != self.observation_space.shape:
+            raise UpslopeError(
+                f"An environment gave an observation of shape {np.shape(obs)}, but its observation space says "
+                f"{self.observation_space.shape}: mend its observation_space, or what changes the shape."
+            )
+        return np.asarray(obs, np.float32)
+
+
+def made(make_env: Callable[[Any], gym.Env], task: Any) -> gym.Env:
+    """The environment of a task, made fit.
+
+    Raises:
+        UpslopeError: the factory fails or returns no environment, or a space is not supported.
+    """
+    try:
+        env = make_env(task)
+    except Exception as error:
+        raise UpslopeError(
+            f"make_env failed for the task {task!r} ({type(error).__name__}: {error}): it must make an environment "
+            "of every task that is sampled."
+        ) from error
+    if not isinstance(env, gym.Env):
+        raise UpslopeError(f"make_env returned {type(env).__name__}: return a gymnasium.Env.")
+    return fitted(env)
+
+
+def fitted(env: gym.Env) -> gym.Env:
+    """Observations as one vector of numbers; actions 0 to n − 1, or numbers in [−1, 1].
+
+    Raises:
+        UpslopeError: a space that can't be brought to that.
+    """
+    space, actions = env.observation_space, env.action_space
+    if not (isinstance(space, gym.spaces.Box) and len(space.shape) == 1):
+        if not space.is_np_flattenable:
+            raise UpslopeError(
+                f"Observations of {space} can't be flattened: observe Box, Discrete, Dict or Tuple spaces."
+            )
+        env = FlattenObservation(env)
+    if isinstance(actions, gym.spaces.Discrete):
+        return env if actions.start == 0 else gym.wrappers.TransformAction(
+            env, lambda action: action + actions.start, gym.spaces.Discrete(int(actions.n))
+        )  # fmt: skip
+    if not (isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1 and actions.is_bounded()):
+        raise UpslopeError(
+            f"Actions of {actions} are not supported: use Discrete, or a Box of one axis with finite bounds; "
+            "gymnasium.wrappers.TransformAction makes one of other spaces."
+        )
+    ones = np.ones(actions.shape, actions.dtype)
+    return RescaleAction(env, -ones, ones)

@@ -1,0 +1,89 @@
+"""Chunks of steps for learners whose environments run on the host: gathered in Python, learned from in one program.
+
+The same functions as `upslope.run.chunks`, so that the loop need not know which it drives. Learners take turns.
+"""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from upslope.learner import AbstractTaskLearner
+from upslope.run.chunks import Chunk
+from upslope.run.compiling import QUICK_TO_RUN
+from upslope.tasks.gymnasium_tasks import shapes_only
+from upslope.types import Keys, Metrics
+
+
+def devices() -> int:
+    """One learner at a time."""
+    return 1
+
+
+def spread(batch: Any) -> Any:
+    """Nothing is spread over devices."""
+    return jax.tree.map(jnp.asarray, batch)
+
+
+def start(learners: AbstractTaskLearner, keys: Keys) -> tuple[Any, Metrics]:
+    """The states ``[learners, ...]`` before the first step, and the metrics' sums, all zero."""
+    states = [_one(learners, index).init(keys[index]) for index in range(len(keys))]
+    _, totals, _ = shapes(learners, keys)
+    # Copies, because learners begin with one array in several places, and an update consumes the arrays it is given.
+    return _stacked(states), jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), totals)
+
+
+def advance(
+    learners: AbstractTaskLearner, states: Any, totals: Metrics, steps: int, *, fresh: bool, report: bool
+) -> Chunk:
+    """Takes ``steps`` steps with every learner; see `upslope.run.chunks.advance`."""
+    after, sums, broken, told = [], [], [], []
+    for index in range(jax.tree.leaves(totals)[0].shape[0]):
+        learner, state, total = _one(learners, index), _taken(states, index), _taken(totals, index)
+        total = jax.tree.map(jnp.zeros_like, total) if fresh else total
+        bad = 0
+        for step in range(steps):
+            state, total, finite = _update(learner, state, learner.gather(state), total)
+            if not bad and not finite:
+                bad = step + 1
+        after.append(state)
+        sums.append(total)
+        broken.append(bad)
+        told.append(learner.report(state) if report else None)
+    return Chunk(_stacked(after), _stacked(sums), jnp.asarray(broken), _stacked(told) if report else {})
+
+
+def shapes(learners: AbstractTaskLearner, keys: Keys) -> tuple[Any, Any, Any]:
+    """What states, totals and reports look like, without computing any ``[learners, ...]``."""
+    learner, count = _one(learners, 0), len(keys)
+    with shapes_only():
+        state = jax.eval_shape(learner.init, keys[0])
+        found = state, jax.eval_shape(learner.step, state)[1], jax.eval_shape(learner.report, state)
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((count, *leaf.shape), leaf.dtype), found)
+
+
+def close(learners: AbstractTaskLearner) -> None:
+    """Closes the environments."""
+    family: Any = learners.family
+    family.close()
+
+
+@functools.partial(jax.jit, donate_argnames=("state", "total"), compiler_options=QUICK_TO_RUN)
+def _update(learner: AbstractTaskLearner, state: Any, gathered: Any, total: Metrics) -> tuple[Any, Metrics, Any]:
+    state, metrics = learner.update(state, gathered)
+    finite = jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(metrics)]).all()
+    return state, jax.tree.map(jnp.add, total, metrics), finite
+
+
+def _one(learners: AbstractTaskLearner, index: int) -> AbstractTaskLearner:
+    return jax.tree.map(lambda leaf: leaf[index] if np.ndim(leaf) else leaf, learners)
+
+
+def _taken(batch: Any, index: int) -> Any:
+    return jax.tree.map(lambda leaf: jnp.copy(leaf[index]), batch)
+
+
+def _stacked(items: list[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *items)

@@ -1,0 +1,266 @@
+"""Families of Gymnasium environments: a sampler of tasks, and a factory that makes an environment from a task."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, ClassVar
+
+import equinox as eqx
+import gymnasium as gym
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from upslope.envs.task_slot import made
+from upslope.errors import UpslopeError
+from upslope.tasks.family import AbstractFamily
+from upslope.tasks.host_environments import Episodes, HostEnvironments, Mode
+from upslope.tasks.task_protocol import of_protocol
+from upslope.types import Key, Policy, Task, Transition
+
+_SHAPES_ONLY: ContextVar[bool] = ContextVar("shapes_only", default=False)
+
+
+class RunningHost(eqx.Module):
+    """Host environments in the middle of their episodes, by the number that the family knows them by."""
+
+    number: Int[Array, ""]
+
+
+class GymnasiumTasks(AbstractFamily):
+    """A family over Gymnasium environments, for the same learners as compiled families.
+
+    Inside, a task is the two words of the random key that it was drawn with: tasks stack, repeat and are saved like
+    those of any family, and the sampler is asked again whenever an environment is needed. So it must give the same
+    task for the same ``rng``.
+
+    Observations of any Box, Discrete, Dict or Tuple space become one vector of numbers; actions are Discrete, or a Box
+    of one axis with finite bounds, brought to [−1, 1].
+
+    Attributes:
+        sample_task: draws one task with a NumPy generator.
+        environments: made so far; `close` closes them.
+    """
+
+    on_host: ClassVar[bool] = True
+
+    name: str = eqx.field(static=True)
+    gamma: float = eqx.field(static=True)
+    observation_shape: tuple[int, ...] = eqx.field(static=True)
+    observation_scale: tuple[float, ...] = eqx.field(static=True)
+    actions: int = eqx.field(static=True)
+    continuous: bool = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+    sample_task: Callable[[np.random.Generator], Any] = eqx.field(static=True)
+    environments: HostEnvironments = eqx.field(static=True)
+
+    def __init__(
+        self,
+        sample: Callable[[np.random.Generator], Any],
+        make_env: Callable[[Any], gym.Env],
+        gamma: float,
+        *,
+        name: str | None = None,
+        observation_scale: Sequence[float] | None = None,
+        max_steps: int | None = None,
+        mode: Mode = "sync",
+    ):
+        """Makes the family, after one environment was made to see its spaces.
+
+        Args:
+            sample: ``sample(rng) -> task``; anything that ``make_env`` understands.
+            make_env: ``make_env(task) -> gymnasium.Env``.
+            gamma: γ, of every task and of every potential learned here.
+            name: of the state space; the environment's id by default.
+            observation_scale: brings each observation to the order of one; by default from the bounds of the space,
+                where they are finite and below 100.
+            max_steps: the longest episode; the environment's own limit by default.
+            mode: "sync" runs the environments in this process, "async" each in a process of its own (a script then
+                needs ``if __name__ == "__main__":``).
+
+        Raises:
+            UpslopeError: no discount, a sampler or factory that fails, an unsupported space, or no limit of steps.
+        """
+        if not (isinstance(gamma, int | float) and 0 < gamma <= 1):
+            raise UpslopeError(f"gamma is {gamma!r}, but a discount lies in (0, 1]: give one such as 0.98.")
+        if mode not in ("sync", "async"):
+            raise UpslopeError(f'mode is {mode!r}: give "sync" or "async".')
+        self.sample_task, self.gamma = sample, float(gamma)
+        env = made(make_env, _drawn(sample, np.zeros(2, np.uint32)))
+        space: Any = env.observation_space
+        actions: Any = env.action_space
+        self.name = name or (env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
+        self.continuous = isinstance(actions, gym.spaces.Box)
+        self.actions = int(actions.shape[0]) if self.continuous else int(actions.n)
+        self.observation_shape = tuple(space.shape)
+        self.observation_scale = _scale(space, observation_scale)
+        self.max_steps = _limit(env, max_steps)
+        env.close()
+        float32 = gym.spaces.Box(-np.inf, np.inf, self.observation_shape, np.float32)
+        self.environments = HostEnvironments(make_env, (float32, actions), mode)
+
+    @classmethod
+    def from_protocol(cls, make_env: Callable[[], Any], gamma: float, **settings: Any) -> "GymnasiumTasks":
+        """A family from environments of the older protocol: ``sample_tasks(n)`` and ``set_task(task)``.
+
+        Args:
+            make_env: makes an environment without arguments.
+            gamma: γ.
+            settings: see `GymnasiumTasks`.
+
+        Raises:
+            UpslopeError: the environment has no such methods, or draws other tasks for the same seed.
+        """
+        return cls(*of_protocol(make_env), gamma, **settings)
+
+    def sample(self, key: Key) -> Task:
+        return jax.random.key_data(key)
+
+    def task_of(self, task: Task) -> Any:
+        """What the sampler gives for a task: the argument of the factory.
+
+        Raises:
+            UpslopeError: the sampler fails.
+        """
+        return _drawn(self.sample_task, np.asarray(task))
+
+    def reset(self, key: Key, tasks: Task) -> RunningHost:
+        if _only_shapes(key, tasks):
+            return RunningHost(jnp.zeros((), jnp.int32))
+        return RunningHost(jnp.asarray(self.environments.start(self._tasks(tasks), _seed(key)), jnp.int32))
+
+    def collect(
+        self, key: Key, tasks: Task, running: RunningHost, policy: Policy, steps: int
+    ) -> tuple[RunningHost, Transition]:
+        if _only_shapes(key, tasks):
+            return running, self._shapes(len(tasks), steps)
+        number = int(running.number)
+        if not self.environments.knows(number, len(tasks)):  # from a checkpoint: episodes can't be restored
+            running = self.reset(key, tasks)
+            number = int(running.number)
+        transitions = self._play(self.environments.go_on(number), key, policy, steps)
+        return RunningHost(jnp.asarray(number, jnp.int32)), transitions
+
+    def rollout(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Transition:
+        if _only_shapes(key, tasks):
+            return self._shapes(len(tasks), steps)
+        reset_key, act_key = jax.random.split(key)
+        return self._play(self.environments.fresh(self._tasks(tasks), _seed(reset_key)), act_key, policy, steps)
+
+    def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
+        if _only_shapes(key, tasks):
+            return jnp.zeros(len(tasks))
+        reset_key, act_key = jax.random.split(key)
+        episodes = self.environments.fresh(self._tasks(tasks), _seed(reset_key))
+        act = self._acting(policy, act_key, len(tasks), self.max_steps)
+        alive, total = np.ones(len(tasks), bool), np.zeros(len(tasks), np.float32)
+        for step in range(self.max_steps):
+            rewards, terminated, truncated, _ = episodes.step(act(step, episodes.obs))
+            total += alive * rewards
+            alive &= ~(terminated | truncated)
+            if not alive.any():
+                break
+        return jnp.asarray(total)
+
+    def close(self) -> None:
+        """Closes all environments; they are made anew when needed."""
+        self.environments.close()
+
+    def _play(self, episodes: Episodes, key: Key, policy: Policy, steps: int) -> Transition:
+        count = len(episodes.obs)
+        act = self._acting(policy, key, count, steps)
+        shapes = self._shapes(count, steps, np)
+        for step in range(steps):
+            shapes.obs[:, step] = episodes.obs
+            action = act(step, episodes.obs)
+            rewards, terminated, _, successors = episodes.step(action)
+            shapes.action[:, step], shapes.reward[:, step] = action, rewards
+            # Truncation keeps the discount at γ: only a true end cuts the future off.
+            shapes.discount[:, step], shapes.next_obs[:, step] = self.gamma * ~terminated, successors
+        return jax.tree.map(jnp.asarray, shapes)
+
+    def _acting(self, policy: Policy, key: Key, count: int, steps: int) -> Callable[[int, np.ndarray], np.ndarray]:
+        """The policy's actions by step, drawn with the keys that a compiled family would use."""
+        keys = _act_keys(key, steps)
+        fast = getattr(policy, "on_host", None)
+        act = None if fast is None else fast(keys, (count, self.actions))
+        return act or (lambda step, obs: np.asarray(_act(policy, keys, jnp.asarray(step), jnp.asarray(obs))))
+
+    def _shapes(self, count: int, steps: int, xp: Any = jnp) -> Transition:
+        """Transitions of zeros."""
+        obs = xp.zeros((count, steps, *self.observation_shape), np.float32)
+        action = (
+            xp.zeros((count, steps, self.actions), np.float32)
+            if self.continuous
+            else xp.zeros((count, steps), np.int32)
+        )
+        return Transition(
+            obs, action, xp.zeros((count, steps), np.float32), xp.zeros((count, steps), np.float32), xp.zeros_like(obs)
+        )
+
+    def _tasks(self, tasks: Task) -> list[Any]:
+        return [self.task_of(words) for words in np.asarray(tasks)]
+
+
+@contextmanager
+def shapes_only() -> Iterator[None]:
+    """While inside, host families answer JAX's abstract evaluation with zeros of the right shapes."""
+    token = _SHAPES_ONLY.set(True)
+    try:
+        yield
+    finally:
+        _SHAPES_ONLY.reset(token)
+
+
+def _only_shapes(*inputs: Any) -> bool:
+    """Whether this is an abstract evaluation; a compiled program must not contain host environments."""
+    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(inputs)):
+        return False
+    if not _SHAPES_ONLY.get():
+        raise UpslopeError(
+            "Host environments can't run inside a compiled program: call this without jit and vmap, "
+            "or use upslope.meta_train, upslope.train and upslope.adapt, which know how."
+        )
+    return True
+
+
+def _drawn(sample: Callable[[np.random.Generator], Any], words: np.ndarray) -> Any:
+    try:
+        return sample(np.random.default_rng([int(word) for word in words]))
+    except Exception as error:
+        raise UpslopeError(
+            f"The sampler of tasks failed ({type(error).__name__}: {error}): mend sample(rng)."
+        ) from error
+
+
+def _seed(key: Key) -> int:
+    high, low = (int(word) for word in np.asarray(jax.random.key_data(key)))
+    return high << 32 | low
+
+
+def _act_keys_of(key: Key, steps: int) -> Any:
+    return jax.vmap(lambda key: jax.random.split(key)[0])(jax.random.split(key, steps))
+
+
+_act_keys = jax.jit(_act_keys_of, static_argnames="steps")
+_act = eqx.filter_jit(lambda policy, keys, step, obs: policy(keys[step], obs))
+
+
+def _scale(space: Any, given: Sequence[float] | None) -> tuple[float, ...]:
+    if given is not None:
+        if len(given) != space.shape[0] or not np.all(np.isfinite(given)):
+            raise UpslopeError(f"observation_scale has {len(given)} numbers: give {space.shape[0]} finite ones.")
+        return tuple(float(factor) for factor in given)
+    bound = np.maximum(np.abs(space.low), np.abs(space.high)).astype(np.float64)
+    return tuple(float(1 / b) if 0 < b < 100 else 1.0 for b in bound)
+
+
+def _limit(env: gym.Env, given: int | None) -> int:
+    limit = given or (env.spec.max_episode_steps if env.spec is not None else None)
+    if limit is None or limit < 1:
+        raise UpslopeError(
+            "The environment does not say after how many steps it is truncated: give max_steps, "
+            "or wrap it in gymnasium.wrappers.TimeLimit."
+        )
+    return int(limit)
