@@ -74,7 +74,9 @@ class MetaTraining(AbstractTaskLearner):
         _, task_key, collect_key, _ = jax.random.split(state.key, 4)
         return self.collect(collect_key, self.family.sample_many(task_key, self.config.tasks), state.theta)
 
-    def update(self, state: MetaTrainingState, gathered: Transition | TableSamples) -> tuple[MetaTrainingState, Metrics]:
+    def update(
+        self, state: MetaTrainingState, gathered: Transition | TableSamples
+    ) -> tuple[MetaTrainingState, Metrics]:
         key, _, _, update_key = jax.random.split(state.key, 4)
 
         def outer_step(carry: tuple[DuelingQ, Any], key: Key) -> tuple[tuple[DuelingQ, Any], Metrics]:
