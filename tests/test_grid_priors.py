@@ -77,6 +77,7 @@ def test_td_residual():
     assert float(td_residual(known, value, q + 0.5)) == pytest.approx(0.25, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_training_and_test_goals_of_clean_maps_are_apart():
     train, test = families("clean")
     goals = set(np.asarray(train.sample_params.maps.goal).tolist())
