@@ -46,3 +46,14 @@ def test_learners_table() -> None:
             f"{row['arms'][arm]['mean_over_evaluations']:.0f}" for arm in ("unshaped", "constant", "prior")
         )
         assert f"| {name} | {means} | {row['arms']['prior']['q1'][-1]:.0f} |" in DEVIATIONS
+
+
+def test_the_readme_quotes_figure_4() -> None:
+    found = json.loads((ROOT / "docs" / "data" / "fig4" / "results.json").read_text())
+    final = found["readings"]["algorithm1"]["final"]
+    (correlation,), (optimal,), (solved,) = final["rank_correlation"], final["action_optimality"], final["success"]
+    text = " ".join(README.split())
+    assert f"rank correlation of V with V* is {correlation:.2f}" in text
+    assert f"{optimal:.0%}".replace("%", " %") + " of the greedy actions are optimal" in text
+    assert f"{solved:.0%}".replace("%", " %") + " of the maps are solved" in text
+    assert found["configuration"]["tasks"] == 100
