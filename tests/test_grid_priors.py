@@ -21,6 +21,9 @@ from upslope.measures import truths
 from upslope.prior import Prior
 from upslope.recipes import for_grid_games
 
+#: Every test here needs two small trainings, half a minute on a slow core.
+pytestmark = pytest.mark.slow
+
 
 def tiny():
     reading = dataclasses.replace(
@@ -77,7 +80,6 @@ def test_td_residual():
     assert float(td_residual(known, value, q + 0.5)) == pytest.approx(0.25, rel=1e-4)
 
 
-@pytest.mark.slow
 def test_training_and_test_goals_of_clean_maps_are_apart():
     train, test = families("clean")
     goals = set(np.asarray(train.sample_params.maps.goal).tolist())
