@@ -15,7 +15,8 @@ from upslope.errors import UpslopeError
 from upslope.meta_training import MetaTraining, best_snapshot
 from upslope.prior import Prior, trained_on
 from upslope.recipes import MetaTrainingConfig
-from upslope.run.loop import Outcome, broadcast, run
+from upslope.run.loop import broadcast, run
+from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.shaping import Shaping, potential_based
 from upslope.tasks.family import AbstractFamily
@@ -44,9 +45,22 @@ def meta_train(
         title="meta-training",
         session=session,
     )
-    returns = outcome.reports["return"][0]
+    return best_prior(family, outcome, config, 0, seed)
+
+
+def best_prior(family: AbstractFamily, outcome: Outcome, config: MetaTrainingConfig, index: int, seed: int) -> Prior:
+    """The best snapshot of one meta-training among several, with its provenance.
+
+    Args:
+        family: that it was trained on.
+        outcome: of the run.
+        config: of the training.
+        index: which of the run's learners.
+        seed: that it began with.
+    """
+    returns = outcome.reports["return"][index]
     best = best_snapshot(returns, config)
-    network = jax.tree.map(lambda leaf: jnp.asarray(leaf[0, best]), outcome.reports["prior"])
+    network = jax.tree.map(lambda leaf: jnp.asarray(leaf[index, best]), outcome.reports["prior"])
     measured = {"iteration": int(outcome.updates[best]), "return_on_training_tasks": float(returns[best])}
     return Prior(network, trained_on(family, network, seed, asdict(config) | measured))
 

@@ -16,7 +16,8 @@ from upslope.experiments.priors import Priors
 from upslope.experiments.results import Arm, Panel
 from upslope.networks import DuelingQ
 from upslope.potentials import stack
-from upslope.run.loop import Outcome, run
+from upslope.run.loop import run
+from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Task

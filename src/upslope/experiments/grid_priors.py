@@ -7,19 +7,20 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
+from upslope.api import best_prior
 from upslope.experiments.keys import Purpose, key_for, keys_for
 from upslope.measures import Truth, dead_units, feature_norm, measure_all, summarise, tables, truths
 from upslope.meta_training import MetaTraining, best_snapshot
 from upslope.networks import DuelingQ
 from upslope.planning import lookahead
-from upslope.prior import Prior, trained_on
+from upslope.prior import Prior
 from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
 from upslope.run.compiling import compile_clock
-from upslope.run.loop import Outcome, broadcast, run
+from upslope.run.loop import broadcast, run
 from upslope.run.machine import hardware, versions
+from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, clean_maps, obstacle_maps
 from upslope.types import Task
@@ -120,7 +121,9 @@ def run_grid_priors(
                 session=session,
             )
             rows[name] = {"what": what} | describe(family, known, tasks, outcome, settings)
-            priors[name] = _priors(family, outcome, settings, config.first_seed)
+            priors[name] = [
+                best_prior(family, outcome, settings, index, config.first_seed + index) for index in range(config.seeds)
+            ]
     results = {
         "figure": "grid priors",
         "maps": config.maps,
@@ -190,16 +193,3 @@ def td_residual(known: Truth, value: Float[Array, "states"], q: Float[Array, "st
     """Mean squared TD error of a table on one task, over all actions of the states that count."""
     squares = (lookahead(known.mdp, value) - q) ** 2
     return jnp.mean(squares, where=known.states[:, None])
-
-
-def _priors(family: JaxTasks, outcome: Outcome, config: MetaTrainingConfig, first_seed: int) -> list[Prior]:
-    found = []
-    for seed, returns in enumerate(outcome.reports["return"]):
-        best = best_snapshot(returns, config)
-        network = jax.tree.map(lambda leaf, i=seed, j=best: jnp.asarray(leaf[i, j]), outcome.reports["prior"])
-        measured = {
-            "iteration": int(outcome.updates[best]),
-            "return_on_training_tasks": float(np.asarray(returns)[best]),
-        }
-        found.append(Prior(network, trained_on(family, network, first_seed + seed, asdict(config) | measured)))
-    return found

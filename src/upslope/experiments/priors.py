@@ -12,7 +12,8 @@ from upslope.meta_training import MetaTraining, best_snapshot
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.recipes import MetaTrainingConfig
-from upslope.run.loop import Outcome, broadcast, run
+from upslope.run.loop import broadcast, run
+from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Task

@@ -1,5 +1,6 @@
 """Numbers that are not finite, caught at the step where they start, with the likely cause and the mend."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ _MENDS = (
 )
 
 
-def check_finite(title: str, update: int, broken: np.ndarray, totals: dict[str, Any], known_good: str) -> None:
+def check_finite(
+    title: str, update: int, broken: np.ndarray, totals: dict[str, Any], known_good: Callable[[], str]
+) -> None:
     """Looks at what a chunk of steps left behind.
 
     Args:
@@ -24,7 +27,7 @@ def check_finite(title: str, update: int, broken: np.ndarray, totals: dict[str, 
         update: steps taken before the chunk.
         broken: of each learner the first step of the chunk with a metric that is not finite; 0 for none.
         totals: sums of the metrics ``[learners, ...]``; a second axis is that of tasks.
-        known_good: what there is to go back to.
+        known_good: tells what there is to go back to; asked in trouble only.
 
     Raises:
         UpslopeError: with phase, learner, task and step.
@@ -37,7 +40,7 @@ def check_finite(title: str, update: int, broken: np.ndarray, totals: dict[str, 
     task = f", task {int(np.flatnonzero(bad[name])[0])}" if bad[name].ndim else ""
     raise UpslopeError(
         f"{title}: {name} of learner {learner}{task} is not a finite number at update {update + broken[learner]} "
-        f"({np.count_nonzero(broken)} of {broken.size} learners in trouble): {_MENDS[_phase(name)][1]}{known_good}"
+        f"({np.count_nonzero(broken)} of {broken.size} learners in trouble): {_MENDS[_phase(name)][1]}{known_good()}"
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from upslope.learner import AbstractTaskLearner
 from upslope.run.chunks import Chunk
 from upslope.run.compiling import QUICK_TO_RUN
-from upslope.tasks.gymnasium_tasks import shapes_only
+from upslope.tasks.abstract_evaluation import shapes_only
 from upslope.types import Keys, Metrics
 
 

@@ -3,8 +3,9 @@
 import math
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,44 +17,13 @@ from upslope.run import chunks, host_chunks
 from upslope.run.checkpoints import Stage, describe
 from upslope.run.compiling import compile_clock
 from upslope.run.health import check_finite
+from upslope.run.outcome import Outcome
 from upslope.run.pace import Pace
 from upslope.run.position import Position, on_host
 from upslope.run.randomness import unrolled
 from upslope.run.session import Session
 from upslope.run.signals import StopRequest, stop_requests
 from upslope.types import Keys
-
-
-class Outcome(NamedTuple):
-    """What a run leaves behind.
-
-    Attributes:
-        flat_states: of all learners at the end, their batch axes flattened; None where a finished run was resumed whose
-            states were not kept.
-        batch: the batch axes.
-        updates: steps taken at each report ``[reports]``.
-        reports: what the learners reported, by name ``[*batch, reports, ...]``.
-        metrics: means of the learners' metrics between reports, by name ``[*batch, reports, ...]``; zeros before the
-            first step.
-        seconds_compiling: spent on tracing and compiling.
-        seconds_running: all the rest.
-        programs: how many were compiled.
-    """
-
-    flat_states: Any
-    batch: tuple[int, ...]
-    updates: np.ndarray
-    reports: dict[str, Any]
-    metrics: dict[str, np.ndarray]
-    seconds_compiling: float
-    seconds_running: float
-    programs: int
-
-    @property
-    def states(self) -> Any:
-        """Of all learners at the end ``[*batch, ...]``; gathered from the devices when asked for."""
-        count = math.prod(self.batch)
-        return jax.tree.map(lambda leaf: leaf[:count].reshape(*self.batch, *leaf.shape[1:]), self.flat_states)
 
 
 def run(
@@ -174,7 +144,7 @@ class _Run:
         while len(self.times) < len(self.marks):
             began = time.perf_counter()
             steps = pace.steps(self.marks[len(self.times)] - self.update)
-            at_mark = self._advance(steps, f" ({stage.last_good()}.)" if stage else "")
+            at_mark = self._advance(steps, lambda: f" ({stage.last_good()}.)" if stage else "")
             pace.took(steps, time.perf_counter() - began)
             try:
                 if at_mark:
@@ -191,7 +161,7 @@ class _Run:
         if stage is not None:
             stage.finish(self.position(), allow_divergence=self.allow_divergence)
 
-    def _advance(self, steps: int, known_good: str) -> bool:
+    def _advance(self, steps: int, known_good: Callable[[], str]) -> bool:
         """One chunk. Returns whether it ended at a mark."""
         mark = self.marks[len(self.times)]
         last = self.marks[len(self.times) - 1] if self.times else 0

@@ -1,8 +1,6 @@
 """Families of Gymnasium environments: a sampler of tasks, and a factory that makes an environment from a task."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -14,12 +12,11 @@ from jaxtyping import Array, Float, Int
 
 from upslope.envs.task_slot import made
 from upslope.errors import UpslopeError
+from upslope.tasks.abstract_evaluation import evaluated_abstractly
 from upslope.tasks.family import AbstractFamily
 from upslope.tasks.host_environments import Episodes, HostEnvironments, Mode
 from upslope.tasks.task_protocol import of_protocol
 from upslope.types import Key, Policy, Task, Transition
-
-_SHAPES_ONLY: ContextVar[bool] = ContextVar("shapes_only", default=False)
 
 
 class RunningHost(eqx.Module):
@@ -126,14 +123,14 @@ class GymnasiumTasks(AbstractFamily):
         return _drawn(self.sample_task, np.asarray(task))
 
     def reset(self, key: Key, tasks: Task) -> RunningHost:
-        if _only_shapes(key, tasks):
+        if evaluated_abstractly(key, tasks):
             return RunningHost(jnp.zeros((), jnp.int32))
         return RunningHost(jnp.asarray(self.environments.start(self._tasks(tasks), _seed(key)), jnp.int32))
 
     def collect(
         self, key: Key, tasks: Task, running: RunningHost, policy: Policy, steps: int
     ) -> tuple[RunningHost, Transition]:
-        if _only_shapes(key, tasks):
+        if evaluated_abstractly(key, tasks):
             return running, self._shapes(len(tasks), steps)
         number = int(running.number)
         if not self.environments.knows(number, len(tasks)):  # from a checkpoint: episodes can't be restored
@@ -143,13 +140,13 @@ class GymnasiumTasks(AbstractFamily):
         return RunningHost(jnp.asarray(number, jnp.int32)), transitions
 
     def rollout(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Transition:
-        if _only_shapes(key, tasks):
+        if evaluated_abstractly(key, tasks):
             return self._shapes(len(tasks), steps)
         reset_key, act_key = jax.random.split(key)
         return self._play(self.environments.fresh(self._tasks(tasks), _seed(reset_key)), act_key, policy, steps)
 
     def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
-        if _only_shapes(key, tasks):
+        if evaluated_abstractly(key, tasks):
             return jnp.zeros(len(tasks))
         reset_key, act_key = jax.random.split(key)
         episodes = self.environments.fresh(self._tasks(tasks), _seed(reset_key))
@@ -201,28 +198,6 @@ class GymnasiumTasks(AbstractFamily):
 
     def _tasks(self, tasks: Task) -> list[Any]:
         return [self.task_of(words) for words in np.asarray(tasks)]
-
-
-@contextmanager
-def shapes_only() -> Iterator[None]:
-    """While inside, host families answer JAX's abstract evaluation with zeros of the right shapes."""
-    token = _SHAPES_ONLY.set(True)
-    try:
-        yield
-    finally:
-        _SHAPES_ONLY.reset(token)
-
-
-def _only_shapes(*inputs: Any) -> bool:
-    """Whether this is an abstract evaluation; a compiled program must not contain host environments."""
-    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(inputs)):
-        return False
-    if not _SHAPES_ONLY.get():
-        raise UpslopeError(
-            "Host environments can't run inside a compiled program: call this without jit and vmap, "
-            "or use upslope.meta_train, upslope.train and upslope.adapt, which know how."
-        )
-    return True
 
 
 def _drawn(sample: Callable[[np.random.Generator], Any], words: np.ndarray) -> Any:
