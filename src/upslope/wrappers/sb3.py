@@ -9,6 +9,7 @@ import numpy as np
 
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
+from upslope.wrappers.levels import Levels
 from upslope.wrappers.terms import Terms
 
 try:
@@ -65,8 +66,7 @@ class PotentialShaping(VecEnvWrapper):
         self.enabled = enabled
         self._evaluator = Evaluator(potential, venv.observation_space)
         self._terms = Terms(self._evaluator.potential, gamma, scale, bias, anneal_steps)
-        self._steps = 0
-        self._active = np.full(venv.num_envs, enabled)
+        self._levels = Levels(self._evaluator, self._terms, np.full(venv.num_envs, enabled))
         self._potentials: np.ndarray | None = None
 
     @property
@@ -76,8 +76,8 @@ class PotentialShaping(VecEnvWrapper):
 
     def reset(self) -> Any:
         obs = self.venv.reset()
-        self._active = np.full(self.num_envs, self.enabled)
-        self._potentials = self._weights() * self._levels(obs)
+        self._levels.active = np.full(self.num_envs, self.enabled)
+        self._potentials = self._levels.weights * self._levels.of(obs, enabled=self.enabled)
         return obs
 
     def step_wait(self) -> Any:
@@ -89,12 +89,12 @@ class PotentialShaping(VecEnvWrapper):
         if self._potentials is None:
             raise UpslopeError("step was called before reset: reset the VecEnv first.")
         obs, rewards, dones, infos = self.venv.step_wait()
-        self._steps += 1
-        levels = self._levels(obs)
-        following = self._weights() * self._true_successors(levels, dones, infos)
+        self._levels.steps += 1
+        levels = self._levels.of(obs, enabled=self.enabled)
+        following = self._levels.weights * self._true_successors(levels, dones, infos)
         added = self._terms.gamma * following - self._potentials
-        self._active = np.where(dones, self.enabled, self._active)
-        self._potentials = self._weights() * levels
+        self._levels.active = np.where(dones, self.enabled, self._levels.active)
+        self._potentials = self._levels.weights * levels
         infos = [_told(info, *row) for info, *row in zip(infos, rewards, added, following, strict=True)]
         return obs, (rewards + added).astype(rewards.dtype), dones, infos
 
@@ -108,17 +108,11 @@ class PotentialShaping(VecEnvWrapper):
                     'infos[i]["terminal_observation"], as those of Stable-Baselines3 do.'
                 )
             truncated = infos[i].get("TimeLimit.truncated", False)
-            value = self._evaluator.one(infos[i]["terminal_observation"]) if truncated and self._active[i] else 0.0
+            value = (
+                self._evaluator.one(infos[i]["terminal_observation"]) if truncated and self._levels.active[i] else 0.0
+            )
             levels[i] = self._terms.bias + self._terms.scale * value if truncated else 0.0
         return levels
-
-    def _levels(self, obs: Any) -> np.ndarray:
-        if not (self._active.any() or self.enabled) or not self._terms.weight(self._steps):
-            return np.zeros(self.num_envs)
-        return self._terms.bias + self._terms.scale * self._evaluator.many(obs, self.num_envs)
-
-    def _weights(self) -> np.ndarray:
-        return self._active * self._terms.weight(self._steps)
 
 
 class ShapedReplayBuffer(ReplayBuffer):

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from upslope.envs.workers import alive
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
+from upslope.wrappers.levels import Levels
 from upslope.wrappers.terms import Terms
 
 
@@ -70,8 +71,7 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         self.enabled = enabled
         self._evaluator = Evaluator(potential, env.single_observation_space)
         self._terms = Terms(self._evaluator.potential, gamma, scale, bias, anneal_steps)
-        self._steps = 0
-        self._active = np.full(self.num_envs, enabled)
+        self._levels = Levels(self._evaluator, self._terms, np.full(self.num_envs, enabled))
         self._potentials: Float[np.ndarray, n] | None = None
         self._resetting = np.zeros(self.num_envs, bool)
 
@@ -89,9 +89,9 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         # The mask is copied: Gymnasium takes it out of the options.
         fresh = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
         obs, infos = alive(lambda: self.env.reset(seed=seed, options=options))
-        self._active = np.where(fresh, self.enabled, self._active)
+        self._levels.active = np.where(fresh, self.enabled, self._levels.active)
         previous = np.zeros(self.num_envs) if self._potentials is None else self._potentials
-        self._potentials = np.where(fresh, self._counted(obs), previous)
+        self._potentials = np.where(fresh, self._levels.weights * self._levels.of(obs, enabled=self.enabled), previous)
         self._resetting = self._resetting & ~fresh
         none = np.zeros(self.num_envs)
         told = self._told(infos, none, none, self._potentials)
@@ -108,15 +108,15 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         obs, rewards, terminated, truncated, infos = alive(lambda: self.env.step(actions))
         rewards = np.asarray(rewards, np.float64)
         done = np.logical_or(terminated, truncated)
-        self._steps += 1
+        self._levels.steps += 1
         starting = self._resetting if self._mode is AutoresetMode.NEXT_STEP else np.zeros_like(done)
-        levels = self._levels(obs)
-        following = self._weights() * self._true_successors(levels, done & ~np.asarray(terminated), done, infos)
+        levels = self._levels.of(obs, enabled=self.enabled)
+        following = self._levels.weights * self._true_successors(levels, done & ~np.asarray(terminated), done, infos)
         following = np.where(terminated, 0.0, following)
         added = np.where(starting, 0.0, self._terms.gamma * following - self._potentials)
         fresh = done if self._mode is AutoresetMode.SAME_STEP else starting
-        self._active = np.where(fresh, self.enabled, self._active)
-        self._potentials = self._weights() * levels
+        self._levels.active = np.where(fresh, self.enabled, self._levels.active)
+        self._potentials = self._levels.weights * levels
         self._resetting = done
         counted = np.where(starting, self._potentials, following)
         return obs, rewards + added, terminated, truncated, self._told(infos, rewards, added, counted)
@@ -151,18 +151,6 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
             [finals[i] for i in np.flatnonzero(truncated)]
         )
         return levels
-
-    def _levels(self, obs: Any) -> Float[np.ndarray, "n"]:
-        """Bias + scale·Φ of a batch; zeros where nothing is shaped at all."""
-        if not (self._active.any() or self.enabled) or not self._terms.weight(self._steps):
-            return np.zeros(self.num_envs)
-        return self._terms.bias + self._terms.scale * self._evaluator.many(obs, self.num_envs)
-
-    def _weights(self) -> Float[np.ndarray, "n"]:
-        return self._active * self._terms.weight(self._steps)
-
-    def _counted(self, obs: Any) -> Float[np.ndarray, "n"]:
-        return self._weights() * self._levels(obs)
 
 
 def _autoreset_mode(env: gym.vector.VectorEnv) -> AutoresetMode:
