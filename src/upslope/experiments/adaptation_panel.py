@@ -1,6 +1,8 @@
-"""Adaptation with the advantage head (Fig. 1, left): Algorithm 2, MAML and the controls, from priors of any age."""
+"""Adaptation with the advantage head (Figs. 1, 3, 5, left): Algorithm 2, MAML, the controls; priors of any age."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,7 @@ from upslope.agents.fine_tuning import FineTuning
 from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_per_task
 from upslope.experiments.priors import Priors
-from upslope.experiments.results import Arm, Panel
+from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of
 from upslope.networks import DuelingQ
 from upslope.potentials import stack
 from upslope.run.loop import run
@@ -40,11 +42,15 @@ class AdaptationPanel:
         stops: iterations at which Algorithm 1 is stopped early; from a finished prior every arm starts at the top.
         updates: of each adaptation.
         step_sizes: α to choose from, for each arm and stop on its own, on tuning tasks that are no test tasks.
+        start: that stop is shown at which the priors' return on tuning tasks is nearest to it.
+        average: over seeds and tuning tasks, for that.
     """
 
     stops: tuple[int, ...] = (75, 100, 125, 150, 500)
     updates: int = 20
     step_sizes: tuple[float, ...] = (3e-4, 1e-3, 2e-3, 4e-3, 8e-3)
+    start: float = 150.0
+    average: Literal["median", "mean"] = "median"
 
     def __post_init__(self) -> None:
         if not self.stops or not self.step_sizes or self.updates < 1:
@@ -59,37 +65,45 @@ def adaptation_panel(
     config: AdaptationConfig,
     first_seed: int,
     session: Session | None = None,
+    *,
+    rules: Mapping[str, UpdateRule] = RULES,
+    tuning_family: AbstractFamily | None = None,
+    score: Score = EPISODE_LENGTH,
 ) -> Panel:
     """Every rule from every stop on every task, each at the step size that was best on tuning tasks.
 
-    The arms shown are those of the stop at which the priors act half-well on the tuning tasks (nearest to a return
-    of 150), which is where adaptation has something to do; the other stops are variants, named by their iteration.
+    The arms shown are those of the stop at which the priors act half-well on the tuning tasks, which is where
+    adaptation has something to do; the other stops are variants, named by their iteration. Tuning tasks come from a
+    family of their own where one is given.
     """
     starts = stack([priors.stopped_at(stop) for stop in panel.stops])
     count = jax.tree.leaves(tasks)[0].shape[0]
-    tuning_tasks = family.sample_many(key_for(first_seed, Purpose.TUNING_TASKS), count)
+    tuning_tasks = (family if tuning_family is None else tuning_family).sample_many(
+        key_for(first_seed, Purpose.TUNING_TASKS), count
+    )
     found: dict[str, dict[str, Arm]] = {str(stop): {} for stop in panel.stops}
     zero_shot = np.zeros(len(panel.stops))
     compiling = running = 0.0
-    for number, name in enumerate(RULES):
-        rule = OneOf(tuple(RULES.values()), jnp.asarray(number))
+    for number, name in enumerate(rules):
+        rule = OneOf(tuple(rules.values()), jnp.asarray(number))
         # Learner t of the tuning runs tries step size t mod S on tuning task t: the test runs' shape, so one program.
         sizes = jnp.asarray([panel.step_sizes[t % len(panel.step_sizes)] for t in range(count)])
         tried = jnp.broadcast_to(sizes, (len(panel.stops), count))
         args = (family, starts, rule, config, panel.updates, first_seed)
         tuning = _adapt(*args, tuning_tasks, tried, Purpose.TUNING, f"tuning {name}", session)
         scores = np.asarray(tuning.reports["return"])
-        if name == "algorithm2":
-            zero_shot = np.median(scores[..., 0], axis=(1, 2))
+        if number == 0:
+            average = np.median if panel.average == "median" else np.mean
+            zero_shot = average(scores[..., 0], axis=(1, 2))
         best = _best_sizes(scores, panel.step_sizes)
         chosen = jnp.broadcast_to(jnp.asarray(best)[:, None], (len(panel.stops), count))
         test = _adapt(*args, tasks, chosen, Purpose.LEFT, name, session)
         for index, stop in enumerate(panel.stops):
-            returns = np.asarray(test.reports["return"][index])
-            found[str(stop)][name] = Arm(test.updates, returns, {"step_size": best[index]})
+            of_stop = {measure: values[index] for measure, values in test.reports.items()}
+            found[str(stop)][name] = arm_of(test.updates, of_stop, score, {"step_size": best[index]})
         compiling += tuning.seconds_compiling + test.seconds_compiling
         running += tuning.seconds_running + test.seconds_running
-    shown = str(panel.stops[int(np.abs(zero_shot - 150).argmin())])
+    shown = str(panel.stops[int(np.abs(zero_shot - panel.start).argmin())])
     notes = {"stop": int(shown), "zero_shot_on_tuning_tasks": dict(zip(found, zero_shot.tolist(), strict=True))}
     title = f"Adaptation, Algorithm 1 stopped at {shown}"
     return Panel(title, found[shown], compiling, running, variants=found, notes=notes)

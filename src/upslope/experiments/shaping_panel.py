@@ -1,15 +1,14 @@
-"""Shaping only (Fig. 1, middle and right): one learner with every potential, all arms through one program."""
+"""Shaping only (Fig. 1, middle and right; Figs. 3 and 5, right): one learner with every potential, one program."""
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.experiments.keys import Purpose, keys_per_task
-from upslope.experiments.results import Arm, Panel
+from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of
 from upslope.networks import DuelingQ
 from upslope.potentials import MeanPotential
 from upslope.run.loop import run
@@ -37,8 +36,8 @@ class ShapingArm(NamedTuple):
 
 def shaping_arms(
     family: AbstractFamily, priors: DuelingQ, levels: jax.Array, oracles: DuelingQ | None, tasks: int
-) -> dict[str, ShapingArm]:
-    """The arms of every shaping comparison.
+) -> dict[str, Shaping]:
+    """The arms of a shaping comparison whose potentials are networks.
 
     Args:
         family: of the tasks, for its γ.
@@ -70,20 +69,22 @@ def shaping_arms(
     }
     if oracles is not None:
         arms["oracle"] = ShapingArm(fill(oracles, 1), 1.0, none)
-    return arms
+    return {name: _shaping(arm, seeds, tasks) for name, arm in arms.items()}
 
 
 def shaping_panel(
     title: str,
     family: AbstractFamily,
     tasks: Task,
-    arms: dict[str, ShapingArm],
+    arms: dict[str, Shaping],
     config: DQNConfig | DDPGConfig,
     first_seed: int,
     *,
     updates: int,
     every: int,
     session: Session | None = None,
+    stage: str | None = None,
+    score: Score = EPISODE_LENGTH,
 ) -> Panel:
     """Trains one agent per arm, seed and task; arms share seeds, tasks and randomness.
 
@@ -91,30 +92,32 @@ def shaping_panel(
         title: of the panel.
         family: of the tasks; DQN where its actions are discrete, DDPG where they are continuous.
         tasks: ``[tasks, ...]``.
-        arms: from `shaping_arms`.
+        arms: the shaping of each, stacked ``[seeds, tasks, ...]``; potentials of one form share one program.
         config: of the agent, the same for every arm.
         first_seed: of the runs.
         updates: of each agent.
         every: updates between evaluations.
         session: who watches, and where checkpoints go.
+        stage: what its runs are called, before their arms' names; after the learner if None.
+        score: what the returns are.
     """
     count = jax.tree.leaves(tasks)[0].shape[0]
     purpose = Purpose.RIGHT if family.continuous else Purpose.MIDDLE
     finished: dict[str, Arm] = {}
     compiling = running = 0.0
-    for name, arm in arms.items():
-        seeds = arm.bias.shape[0]
+    for name, shaping in arms.items():
+        seeds = jax.tree.leaves(shaping)[0].shape[0]
         everywhere = jax.tree.map(lambda leaf, n=seeds: jnp.broadcast_to(leaf, (n, *leaf.shape)), tasks)
-        learner = _agent(family, everywhere, _shaping(arm, seeds, count), config)
+        learner = _agent(family, everywhere, shaping, config)
         outcome = run(
             learner,
             keys_per_task(first_seed, seeds, count, purpose),
             updates=updates,
             every=every,
-            title=f"{type(learner).__name__} {name}",
+            title=f"{stage or type(learner).__name__} {name}",
             session=session,
         )
-        finished[name] = Arm(outcome.updates, np.asarray(outcome.reports["return"]))
+        finished[name] = arm_of(outcome.updates, outcome.reports, score)
         compiling += outcome.seconds_compiling
         running += outcome.seconds_running
     return Panel(title, finished, compiling, running)

@@ -217,5 +217,5 @@ def _flatten(leaf: Any, batch: tuple[int, ...], count: int, engine: Any) -> Any:
 
 def _pad(leaf: Any, engine: Any) -> Any:
     """Repeats the last learner until the devices divide their number."""
-    missing = -leaf.shape[0] % engine.devices()
+    missing = -leaf.shape[0] % engine.devices(leaf.shape[0])
     return jnp.concatenate([leaf, *[leaf[-1:]] * missing]) if missing else leaf
