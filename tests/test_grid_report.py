@@ -1,0 +1,81 @@
+"""What the pages of Figures 3 and 5 say follows from their numbers; no learning is needed to see that."""
+
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from upslope.experiments.adaptation_panel import RULES
+from upslope.experiments.plots import draw
+from upslope.experiments.report import findings, panel_rows, print_summary, write_report
+from upslope.experiments.results import SUCCESS, Arm, FigureResult, Panel, arm_of, write_results
+
+ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "multi_task_dqn", "manhattan", "oracle"]
+UPDATES = np.array([0, 25, 50])
+
+
+def arm(solved, notes=None) -> Arm:
+    """Of ten maps and one seed so many are solved at each evaluation; a solved one earns 0.5, discounted."""
+    returns = (np.arange(10)[None, :, None] < np.asarray(solved)[None, None, :]).astype(np.float32)
+    return arm_of(UPDATES, {"return": returns, "discounted_return": returns / 2}, SUCCESS, notes)
+
+
+@pytest.fixture(scope="module")
+def result() -> FigureResult:
+    right = {name: arm([0, 2, 4]) for name in ARMS} | {"prior": arm([0, 6, 9]), "unshaped": arm([0, 0, 0])}
+    left = {name: arm([5, 5, 5], {"step_size": 0.1}) for name in RULES} | {"algorithm2": arm([5, 7, 8])}
+    panels = {
+        "left": Panel("Adaptation", left, 1.0, 2.0, variants={"10": left, "20": left}),
+        "right": Panel("Shaping only: DQN", right, 1.0, 2.0),
+    }
+    prior = {"zero_shot_mean": 0.5, "rank_correlation": 0.9}
+    rows = [{"seed": 0, **prior, **{f"multi_task_{name}": value / 2 for name, value in prior.items()}}]
+    training = {"iterations": np.array([0, 10, 20]), "returns": np.array([[0.0, 0.25, 0.5]])}
+    return FigureResult("fig5", panels, rows, training, {"first_seed": 0}, False, 2.0, 4.0)
+
+
+def test_the_table_has_success_with_two_digits_and_the_first_update_that_solves_most(result):
+    rows = {row[0]: row[1:] for row in panel_rows(result.panels["right"])}
+    assert rows["meta-learned prior"] == ("0.00", "1.00", "1.00", "0.500", "25")
+    assert rows["no shaping"] == ("0.00", "0.00", "0.00", "0.000", "never")
+
+
+def test_findings(result):
+    priors, left, right = findings(result)
+    assert "solve 0.50 of the unseen maps" in priors
+    assert "those of multi-task DQN 0.25" in priors
+    assert "0.90 and 0.45" in priors
+    assert "first reaches 1 at update 25 with Algorithm 2 and never with MAML;" in left
+    assert "the paper" not in left
+    assert (
+        "over all evaluations is 0.50 against 0.00 without shaping and 0.20 with a constant" in right
+    )
+    assert "(2.50 times)" in right
+    assert "the prior of multi-task DQN 0.20, Manhattan distance 0.20, the oracle 0.20" in right
+
+
+def test_results_hold_every_measure(result, tmp_path):
+    write_results(result, tmp_path)
+    entry = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["panels"]["right"]["arms"]["prior"]
+    assert entry["first_median_solved"] == 25
+    assert entry["discounted_return"]["median"] == [0.0, 0.5, 0.5]
+    assert entry["mean_over_evaluations"] == pytest.approx(0.5)
+    # Map m succeeds at so many of the three evaluations: 0 to 5 at two, 6 to 8 at one, 9 at none; the middle half of
+    # ten runs is what trimming two at each end leaves.
+    np.testing.assert_allclose(entry["iqm_of_means"], [(2 * 4 + 1 * 2) / 3 / 6] * 3, rtol=1e-5)
+    returns = np.load(tmp_path / "returns.npz")
+    np.testing.assert_array_equal(returns["right/prior"], result.panels["right"].arms["prior"].returns)
+    np.testing.assert_array_equal(returns["right/prior/discounted_return"], returns["right/prior"] / 2)
+
+
+@pytest.mark.parametrize("panels", [["left", "right"], ["right"], ["left"]])
+def test_pictures_and_page_of_any_panels(result, panels, tmp_path):
+    part = FigureResult(**{**result.__dict__, "panels": {name: result.panels[name] for name in panels}})
+    draw(part, tmp_path)
+    write_report(part, tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Figure 5: unseen maps with obstacles" in page
+    assert "1 seeds × 10 maps" in page
+    assert page.count("<table>") == len(panels)
+    print_summary(part, Console(quiet=True))
