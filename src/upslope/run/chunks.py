@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Int
@@ -55,6 +56,18 @@ class Chunk(NamedTuple):
     report: dict[str, Any]
 
 
+def compile(learners: AbstractLearner, keys: Keys) -> None:
+    """Compiles the programs that `start` and `advance` will look for. They must be laid out by `spread`."""
+    everywhere = mesh()
+    started = _start.lower(learners, keys, everywhere).compile()
+
+    def known(info: Any, sharding: Any) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(info.shape, info.dtype, sharding=sharding)
+
+    states, totals = jax.tree.map(known, started.out_info, started.output_shardings)
+    _advance.lower(learners, states, totals, np.int32(0), np.bool_(False), np.bool_(False), everywhere).compile()
+
+
 def start(learners: AbstractLearner, keys: Keys) -> tuple[Any, Metrics]:
     """The states ``[learners, ...]`` before the first step, and the metrics' sums, all zero."""
     return _start(learners, keys, mesh())
@@ -75,7 +88,7 @@ def advance(learners: AbstractLearner, states: Any, totals: Metrics, steps: int,
         fresh: start the sums anew.
         report: let every learner report at the end.
     """
-    return _advance(learners, states, totals, jnp.asarray(steps), jnp.asarray(fresh), jnp.asarray(report), mesh())
+    return _advance(learners, states, totals, np.int32(steps), np.bool_(fresh), np.bool_(report), mesh())
 
 
 def shapes(learners: AbstractLearner, keys: Keys) -> tuple[Any, Any, Any]:
