@@ -1,6 +1,7 @@
 """SIGKILL at random moments, and at every named point inside a save: what resumes ends where it would have ended."""
 
 import random
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,9 @@ def uninterrupted(kind: str, folder: Path) -> Ending:
     return ending
 
 
-def at_random_moments(folder: Path, wholes: dict[str, Ending], count: int, seed: int) -> dict[str, Any]:
+def at_random_moments(folder: Path, whole_run: Callable[[str], Ending], count: int, seed: int) -> dict[str, Any]:
     """Kills ``count`` times; each killed run goes on, is killed again or ends."""
+    wholes = {kind: whole_run(kind) for kind in KINDS}
     share = [count // len(KINDS) + (index < count % len(KINDS)) for index in range(len(KINDS))]
 
     def chain(index: int) -> tuple[int, int]:
