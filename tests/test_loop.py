@@ -8,11 +8,15 @@ import pytest
 
 from support.comparing import assert_trees_identical
 from support.toys import Memory, walks
+from upslope.agents.dqn import DQN
 from upslope.errors import UpslopeError
+from upslope.learner import in_turn
 from upslope.potentials import stack
+from upslope.run import chunks
 from upslope.run.compiling import CompileClock
 from upslope.run.loop import broadcast, run
 from upslope.run.session import Session
+from upslope.tasks import cartpoles, obstacle_maps
 
 DRIFTS = [0.0, 1.0, 2.0]
 
@@ -84,6 +88,49 @@ class TestBatching:
         for index, single in enumerate(singles):
             np.testing.assert_allclose(odd.reports["return"][index], single.reports["return"][0], rtol=1e-5)
         assert even.reports["return"].shape[0] == 4
+
+
+class TestDevices:
+    @pytest.mark.parametrize(("learners", "on_two"), [(1, 1), (2, 2), (3, 2), (200, 2)])
+    def test_a_device_that_only_padding_would_use_is_left_out(self, learners, on_two):
+        assert chunks.devices(learners) == on_two
+        assert len(chunks.mesh(learners).devices) == on_two
+
+    def test_on_more_devices_as_few_as_share_the_load_as_well(self, monkeypatch):
+        monkeypatch.setattr(jax, "local_devices", lambda: list(range(4)))
+        assert [chunks.devices(learners) for learners in (1, 2, 3, 4, 5, 6, 8, 9)] == [1, 2, 3, 4, 3, 3, 4, 3]
+
+    def test_one_learner_is_computed_once(self):
+        outcome = run(walks([1.0]), keys(1), updates=7, every=3)
+        assert outcome.flat_states.place.shape == (1,)
+        assert len(outcome.flat_states.place.sharding.device_set) == 1
+
+    def test_padding_of_a_batch_is_dropped_nowhere_but_at_the_end(self):
+        assert run(walks([0.0, 1.0, 2.0]), keys(3), updates=1, every=1).flat_states.place.shape == (4,)
+
+
+class TestTurns:
+    def test_learners_in_turn_take_the_very_steps_of_learners_side_by_side(self, monkeypatch):
+        together = run(walks(DRIFTS), keys(3), updates=7, every=3)
+        monkeypatch.setattr(chunks, "in_turn", lambda learners: True)
+        jax.clear_caches()
+        alone = run(walks(DRIFTS), keys(3), updates=7, every=3)
+        jax.clear_caches()
+        np.testing.assert_allclose(alone.reports["return"], together.reports["return"], rtol=1e-6)
+        np.testing.assert_array_equal(alone.metrics["step"], together.metrics["step"])
+
+    def test_settings_without_a_batch_axis_are_shared_by_all_in_turn_too(self, monkeypatch):
+        monkeypatch.setattr(chunks, "in_turn", lambda learners: True)
+        jax.clear_caches()
+        shared = eqx.tree_at(lambda walk: walk.drift, walks(DRIFTS), jnp.asarray(4.0))
+        np.testing.assert_allclose(run(shared, keys(3), updates=7, every=3).states.place, 28, atol=2)
+        jax.clear_caches()
+
+    def test_learners_on_maps_take_turns_and_others_do_not(self):
+        family, poles = obstacle_maps(), cartpoles()
+        on_map = DQN(family, family.sample(jax.random.key(0)), None)
+        on_pole = DQN(poles, poles.sample(jax.random.key(0)), None)
+        assert (in_turn(on_map), in_turn(on_pole), in_turn(walks(1.0))) == (True, False, False)
 
 
 class TestDeterminism:

@@ -43,6 +43,8 @@ class Reproduce:
     """Moves to other seeds and other test tasks."""
     panels: tuple[Literal["left", "middle", "right"], ...] = ("left", "middle", "right")
     """Which panels."""
+    iterations: int | None = None
+    """Of meta-training, for fig2 to fig5 and grid-readings; fewer than the recipe's 6,000 make weaker priors."""
     resume: bool = False
     """Go on with the run in --out, which was stopped."""
 
@@ -55,6 +57,7 @@ class Reproduce:
             tasks=self.tasks,
             first_seed=self.first_seed,
             panels=self.panels,
+            iterations=self.iterations,
             resume=self.resume,
         )
 

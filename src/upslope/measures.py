@@ -128,6 +128,13 @@ def action_optimality(q: ActionValues, optimal_q: ActionValues, states: StatesMa
     return _mean(is_best.astype(q.dtype), states)
 
 
+def episode_values(mdp: TabularMDP, policy: ActionValues, steps: int) -> tuple[States, States]:
+    """The expected raw return of a policy within so many steps, from every state: undiscounted, and discounted."""
+    undiscounted = eqx.tree_at(lambda mdp: mdp.discounts, mdp, jnp.sign(mdp.discounts))
+    raw = evaluate_policy(undiscounted, policy, tolerance=0.0, max_iterations=steps)
+    return raw, evaluate_policy(mdp, policy, tolerance=0.0, max_iterations=steps)
+
+
 def success(mdp: TabularMDP, policy: ActionValues, steps: int) -> States:
     """The probability, from every state, that a policy earns a positive reward within so many steps."""
     undiscounted = eqx.tree_at(lambda mdp: mdp.discounts, _positive_rewards_only(mdp), jnp.sign(mdp.discounts))

@@ -19,7 +19,7 @@ from upslope.recipes import MetaTrainingConfig
 from upslope.replay import Replay
 from upslope.tabular_posterior import TableSamples, collect_steps, posterior_table, q_tables, table_distance
 from upslope.tasks.family import AbstractFamily
-from upslope.tasks.jax_tasks import JaxTasks
+from upslope.tasks.jax_tasks import JaxTasks, is_finite
 from upslope.types import Key, Metrics, Scalar, Transition
 
 
@@ -57,8 +57,7 @@ class MetaTraining(AbstractTaskLearner):
     def init(self, key: Key) -> MetaTrainingState:
         key, trial_key, network_key = jax.random.split(key, 3)
         family, config = self.family, self.config
-        is_finite = isinstance(family, JaxTasks) and hasattr(family.env, "observe_all")
-        if config.posterior == "table" and not is_finite:
+        if config.posterior == "table" and not is_finite(family):
             raise UpslopeError(f"{family.name} tasks are not finite, so no table fits them: adapt the whole network.")
         theta = DuelingQ(
             network_key,

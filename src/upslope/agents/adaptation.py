@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from upslope.agents.experience import Experience, greedy_return
+from upslope.agents.evaluation import greedy_report
+from upslope.agents.experience import Experience
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import advantage_loss, value_loss
 from upslope.maml import descend
@@ -36,14 +37,17 @@ class AdvantageHead(eqx.Module):
         centred: subtract the *prior's* frozen max A, so that A starts as Q_θ − V_θ. Training by Eq. 6 leaves the level
             of the raw A head arbitrary, and the first V steps would have to undo it. Subtracting the *current* max
             instead would make Eq. 9's gradient identically zero.
+        value_step: the step of Eq. 9, in steps of Eq. 8; 1 as printed. On tables equal steps diverge on some maps, a
+            tenth on none (docs/theorems.md).
     """
 
     centred: bool = eqx.field(static=True, default=True)
+    value_step: float = eqx.field(static=True, default=1.0)
 
     def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
         level = self.level(prior)
         phi = descend(phi, jax.grad(advantage_step_loss)(phi, phi, batch, level), step_size)
-        return descend(phi, jax.grad(value_step_loss)(phi, batch, level), step_size)
+        return descend(phi, jax.grad(value_step_loss)(phi, batch, level), self.value_step * step_size)
 
     def level(self, prior: DuelingQ) -> Callable:
         """What is subtracted from A(s, ·)."""
@@ -135,4 +139,4 @@ class Adaptation(AbstractTaskLearner):
     def report(self, state: AdaptationState) -> dict[str, Scalar]:
         key = jax.random.fold_in(state.key, 0)
         policy = Greedy(state.phi.advantage)
-        return {"return": greedy_return(key, self.family, self.task, policy, self.config.evaluation_episodes)}
+        return greedy_report(key, self.family, self.task, policy, self.config.evaluation_episodes)

@@ -1,4 +1,4 @@
-"""Vanilla DQN, shaped or not: the learner of Fig. 1, middle."""
+"""Vanilla DQN, shaped or not: the learner of Fig. 1, middle, and of Figs. 3 and 5, right."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from upslope.agents.experience import Experience, greedy_return
+from upslope.agents.evaluation import greedy_report
+from upslope.agents.experience import Experience
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import huber, td_error
 from upslope.networks import QNetwork
@@ -47,6 +48,22 @@ class DQNConfig:
     epsilon: float = 0.1
     target_rate: float = 0.01
     evaluation_episodes: int = 3
+
+
+def for_maps() -> DQNConfig:
+    """DQN with the paper's convolutional network on grid games (Sec. 5.2).
+
+    ``upslope reproduce grid-learners`` shows what these settings are worth; they are the same for every arm.
+    """
+    return DQNConfig(
+        hidden=(128, 128),
+        learning_rate=1e-3,
+        decay_updates=0,
+        batch_size=16,
+        replay_capacity=1000,
+        warmup_steps=50,
+        target_rate=0.02,
+    )
 
 
 class DQNState(eqx.Module):
@@ -106,7 +123,7 @@ class DQN(AbstractTaskLearner):
     def report(self, state: DQNState) -> dict[str, Scalar]:
         key = jax.random.fold_in(state.key, 0)
         policy = Greedy(state.network)
-        return {"return": greedy_return(key, self.family, self.task, policy, self.config.evaluation_episodes)}
+        return greedy_report(key, self.family, self.task, policy, self.config.evaluation_episodes)
 
     def _adam(self) -> optax.GradientTransformation:
         return adam(self.config.learning_rate, self.config.decay_updates)

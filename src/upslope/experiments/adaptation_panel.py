@@ -1,6 +1,8 @@
-"""Adaptation with the advantage head (Fig. 1, left): Algorithm 2, MAML and the controls, from priors of any age."""
+"""Adaptation with the advantage head (Figs. 1, 3, 5, left): Algorithm 2, MAML, the controls; priors of any age."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,7 @@ from upslope.agents.fine_tuning import FineTuning
 from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_per_task
 from upslope.experiments.priors import Priors
-from upslope.experiments.results import Arm, Panel
+from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of
 from upslope.networks import DuelingQ
 from upslope.run.loop import run
 from upslope.run.outcome import Outcome
@@ -42,11 +44,15 @@ class AdaptationPanel:
         stops: iterations at which Algorithm 1 is stopped early; from a finished prior every arm starts at the top.
         updates: of each adaptation.
         step_sizes: α to choose from, for each arm and stop on its own, on tuning tasks that are no test tasks.
+        start: that stop is shown at which the priors' return on tuning tasks is nearest to it.
+        average: over seeds and tuning tasks, for that.
     """
 
     stops: tuple[int, ...] = (75, 100, 125, 150, 500)
     updates: int = 20
     step_sizes: tuple[float, ...] = (3e-4, 1e-3, 2e-3, 4e-3, 8e-3)
+    start: float = 150.0
+    average: Literal["median", "mean"] = "median"
 
     def __post_init__(self) -> None:
         if not self.stops or not self.step_sizes or self.updates < 1:
@@ -61,49 +67,57 @@ def adaptation_panel(
     config: AdaptationConfig,
     first_seed: int,
     session: Session | None = None,
+    *,
+    rules: Mapping[str, UpdateRule] = RULES,
+    tuning_family: AbstractFamily | None = None,
+    score: Score = EPISODE_LENGTH,
 ) -> Panel:
     """Every rule from every stop on every task, each at the step size that was best on tuning tasks.
 
-    The arms shown are those of the stop at which the priors act half-well on the tuning tasks (nearest to a return
-    of 150), which is where adaptation has something to do; the other stops are variants, named by their iteration.
+    The arms shown are those of the stop at which the priors act half-well on the tuning tasks, which is where
+    adaptation has something to do; the other stops are variants, named by their iteration. Tuning tasks come from a
+    family of their own where one is given.
     """
     starts = jax.tree.map(lambda *leaves: np.stack(leaves), *[priors.stopped_at(stop) for stop in panel.stops])
     count = jax.tree.leaves(tasks)[0].shape[0]
-    tuning_tasks = family.sample_many(key_for(first_seed, Purpose.TUNING_TASKS), count)
+    tuning_tasks = (family if tuning_family is None else tuning_family).sample_many(
+        key_for(first_seed, Purpose.TUNING_TASKS), count
+    )
     found: dict[str, dict[str, Arm]] = {str(stop): {} for stop in panel.stops}
     zero_shot = np.zeros(len(panel.stops))
     compiling = running = 0.0
 
     def adapt_all(number: int, tasks: Task, sizes: Sizes, purpose: Purpose, title: str) -> Outcome:
-        learners = adaptation_learners(family, starts, one_rule(number), config, tasks, sizes)
+        learners = adaptation_learners(family, starts, one_of(rules, number), config, tasks, sizes)
         keys = adaptation_keys(first_seed, purpose, learners)
         return run(learners, keys, updates=panel.updates, every=1, title=title, session=session, allow_divergence=True)
 
-    for number, name in enumerate(RULES):
+    for number, name in enumerate(rules):
         # Learner t of the tuning runs tries step size t mod S on tuning task t: the test runs' shape, so one program.
         sizes = np.asarray([panel.step_sizes[t % len(panel.step_sizes)] for t in range(count)])
         tried = np.broadcast_to(sizes, (len(panel.stops), count))
         tuning = adapt_all(number, tuning_tasks, tried, Purpose.TUNING, f"tuning {name}")
         scores = np.asarray(tuning.reports["return"])
-        if name == "algorithm2":
-            zero_shot = np.median(scores[..., 0], axis=(1, 2))
+        if number == 0:
+            average = np.median if panel.average == "median" else np.mean
+            zero_shot = average(scores[..., 0], axis=(1, 2))
         best = _best_sizes(scores, panel.step_sizes)
         chosen = np.broadcast_to(np.asarray(best)[:, None], (len(panel.stops), count))
         test = adapt_all(number, tasks, chosen, Purpose.LEFT, name)
         for index, stop in enumerate(panel.stops):
-            returns = np.asarray(test.reports["return"][index])
-            found[str(stop)][name] = Arm(test.updates, returns, {"step_size": best[index]})
+            of_stop = {measure: values[index] for measure, values in test.reports.items()}
+            found[str(stop)][name] = arm_of(test.updates, of_stop, score, {"step_size": best[index]})
         compiling += tuning.seconds_compiling + test.seconds_compiling
         running += tuning.seconds_running + test.seconds_running
-    shown = str(panel.stops[int(np.abs(zero_shot - 150).argmin())])
+    shown = str(panel.stops[int(np.abs(zero_shot - panel.start).argmin())])
     notes = {"stop": int(shown), "zero_shot_on_tuning_tasks": dict(zip(found, zero_shot.tolist(), strict=True))}
     title = f"Adaptation, Algorithm 1 stopped at {shown}"
     return Panel(title, found[shown], compiling, running, variants=found, notes=notes)
 
 
-def one_rule(number: int) -> OneOf:
-    """One of `RULES`, in the form that all share."""
-    return OneOf(tuple(RULES.values()), jnp.asarray(number))
+def one_of(rules: Mapping[str, UpdateRule], number: int) -> OneOf:
+    """One of the rules, in the form that all share."""
+    return OneOf(tuple(rules.values()), jnp.asarray(number))
 
 
 def adaptation_learners(

@@ -11,8 +11,14 @@ from rich.console import Console
 from rich.table import Table
 
 from upslope.errors import UpslopeError
-from upslope.experiments.deviations import DeviationsConfig, deviations, quick_deviations
 from upslope.experiments.figure1 import Figure1Config, PanelName, figure1, quick
+from upslope.experiments.grid_figures import (
+    GridFigureConfig,
+    GridPanelName,
+    grid_figure,
+    quick_grid_figure,
+    with_iterations,
+)
 from upslope.experiments.grid_prior_plots import TITLES, draw_grid_priors
 from upslope.experiments.grid_priors import (
     AIMS,
@@ -22,24 +28,29 @@ from upslope.experiments.grid_priors import (
     quick_grid_priors,
     run_grid_priors,
 )
-from upslope.experiments.learners import ARMS, LearnersConfig, learners, quick_learners
 from upslope.experiments.map_figures import draw_map_figures
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
-from upslope.experiments.results import write_results
+from upslope.experiments.results import FigureResult, write_results
+from upslope.experiments.studies import STUDIES, Study
 from upslope.experiments.theorem_plots import draw_theorems
 from upslope.experiments.theorems import TheoremsConfig, quick_theorems, tables, theorems
 from upslope.run.folder import claimed
-from upslope.run.session import Session, session_in
+from upslope.run.session import session_in
 from upslope.storage import write_atomically
 
 #: Experiments that learn priors of grid games: the paper's Figures 2 and 4, and a study.
-GRID_PRIORS: dict[str, Callable[[], GridPriorsConfig]] = {
+GRID_PRIORS: dict[str, Callable[..., GridPriorsConfig]] = {
     "fig2": partial(grid_priors, "clean"),
     "fig4": partial(grid_priors, "obstacles"),
     "grid-readings": grid_readings,
 }
-EXPERIMENTS = ("fig1", *GRID_PRIORS, "deviations", "learners", "theorems")
+#: The paper's Figures 3 and 5.
+GRID_FIGURES: dict[str, Callable[[], GridFigureConfig]] = {
+    "fig3": partial(GridFigureConfig, "clean"),
+    "fig5": partial(GridFigureConfig, "obstacles"),
+}
+EXPERIMENTS = ("fig1", "fig2", "fig3", "fig4", "fig5", "theorems", "grid-readings", *STUDIES)
 PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
 
 
@@ -52,19 +63,21 @@ def reproduce(
     tasks: int | None = None,
     first_seed: int = 0,
     panels: Sequence[PanelName] = PANELS,
+    iterations: int | None = None,
     resume: bool = False,
     console: Console | None = None,
 ) -> None:
     """Runs an experiment into an empty folder, and sums it up on the console.
 
     Args:
-        experiment: a figure of the paper, or ``deviations``, ``learners``, ``theorems`` or ``grid-readings``.
+        experiment: one of `EXPERIMENTS`: a figure of the paper, its theorems, or a study.
         out: the folder; a new one under ``runs/`` if None.
         is_quick: the quick form.
         seeds: how many; the experiment's own number if None.
         tasks: how many unseen tasks; the experiment's own number if None.
         first_seed: other seeds and other test tasks.
-        panels: of the figure.
+        panels: of the figure; maps have no middle one.
+        iterations: of meta-training, where maps are learned over; the recipe's own number if None.
         resume: go on with the run in ``out``, started with the same settings.
         console: where the summary goes.
 
@@ -76,24 +89,33 @@ def reproduce(
         raise UpslopeError(f"There is no figure {experiment!r}: choose one of {', '.join(EXPERIMENTS)}.")
     if not panels or not set(panels) <= set(PANELS):
         raise UpslopeError(f"There are no panels {', '.join(panels)!r}: choose among {', '.join(PANELS)}.")
-    for name, count in (("seeds", seeds), ("tasks", tasks)):
+    if iterations is not None and experiment not in (*GRID_PRIORS, *GRID_FIGURES):
+        raise UpslopeError(f"{experiment} has a fixed number of iterations: leave --iterations out.")
+    for name, count in (("seeds", seeds), ("tasks", tasks), ("iterations", iterations)):
         if count is not None and count < 1:
             raise UpslopeError(f"{count} {name} make no figure: give at least 1.")
     console = console or Console()
     if experiment == "fig1":
         config = quick(Figure1Config()) if is_quick else Figure1Config()
         config = replace(config, first_seed=first_seed, seeds=seeds or config.seeds, tasks=tasks or config.tasks)
-        _reproduce_figure1(config, is_quick, panels, out, resume, console)
-    elif experiment == "deviations":
-        study = quick_deviations(DeviationsConfig()) if is_quick else DeviationsConfig()
-        study = replace(study, first_seed=first_seed, seeds=seeds or study.seeds, tasks=tasks or study.tasks)
-        _reproduce_study(experiment, study, partial(deviations, study), _deviations_table, out, resume, console)
+        make = partial(figure1, config, panels=panels, is_quick=is_quick)
+        _reproduce_figure("fig1", {"panels": panels, **asdict(config)}, make, out, resume, console)
+    elif experiment in GRID_FIGURES:
+        figure = GRID_FIGURES[experiment]()
+        figure = figure if iterations is None else with_iterations(figure, iterations)
+        figure = quick_grid_figure(figure) if is_quick else figure
+        figure = replace(figure, first_seed=first_seed, seeds=seeds or figure.seeds, tasks=tasks or figure.tasks)
+        shown: list[GridPanelName] = [name for name in panels if name != "middle"]
+        if not shown:
+            raise UpslopeError(f"{experiment} has no middle panel: choose left, right or both.")
+        make = partial(grid_figure, figure, panels=shown, is_quick=is_quick)
+        _reproduce_figure(experiment, {"panels": shown, **asdict(figure)}, make, out, resume, console)
     elif experiment == "theorems":
         proofs = quick_theorems(TheoremsConfig()) if is_quick else TheoremsConfig()
         proofs = replace(proofs, first_seed=first_seed, seeds=seeds or proofs.seeds, tasks=tasks or proofs.tasks)
         _reproduce_theorems(proofs, out, resume, console)
     elif experiment in GRID_PRIORS:
-        study_of_priors = GRID_PRIORS[experiment]()
+        study_of_priors = GRID_PRIORS[experiment](**({} if iterations is None else {"iterations": iterations}))
         study_of_priors = quick_grid_priors(study_of_priors) if is_quick else study_of_priors
         study_of_priors = replace(
             study_of_priors,
@@ -103,23 +125,24 @@ def reproduce(
         )
         _reproduce_grid_priors(experiment, study_of_priors, out, resume, console)
     else:
-        tuning = quick_learners(LearnersConfig()) if is_quick else LearnersConfig()
-        shifted = tuning.first_seed + first_seed
-        tuning = replace(tuning, first_seed=shifted, seeds=seeds or tuning.seeds, tasks=tasks or tuning.tasks)
-        _reproduce_study(experiment, tuning, partial(learners, tuning), _learners_table, out, resume, console)
+        study = STUDIES[experiment]
+        settings = study.quick(study.config()) if is_quick else study.config()
+        # Studies that tune have seeds of their own to start from.
+        shifted = settings.first_seed + first_seed
+        settings = replace(settings, first_seed=shifted, seeds=seeds or settings.seeds, tasks=tasks or settings.tasks)
+        _reproduce_study(experiment, study, settings, out, resume, console)
 
 
-def _reproduce_figure1(
-    config: Figure1Config,
-    is_quick: bool,
-    panels: Sequence[PanelName],
+def _reproduce_figure(
+    name: str,
+    settings: dict[str, Any],
+    make: Callable[..., FigureResult],
     out: Path | None,
     resume: bool,
     console: Console,
 ) -> None:
-    with claimed(out, "fig1", {"panels": panels, **asdict(config)}, resume=resume) as folder:
-        session = session_in(folder, resume=resume, final_states=False)
-        result = figure1(config, panels=panels, is_quick=is_quick, session=session)
+    with claimed(out, name, settings, resume=resume) as folder:
+        result = make(session=session_in(folder, resume=resume, final_states=False))
         write_results(result, folder)
         draw(result, folder)
         write_report(result, folder)
@@ -127,19 +150,11 @@ def _reproduce_figure1(
     console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; the picture is {folder / 'figure.png'}.")
 
 
-def _reproduce_study(
-    name: str,
-    config: DeviationsConfig | LearnersConfig,
-    study: Callable[[Session], dict[str, Any]],
-    table: Callable[[dict[str, Any]], Table],
-    out: Path | None,
-    resume: bool,
-    console: Console,
-) -> None:
+def _reproduce_study(name: str, study: Study, config: Any, out: Path | None, resume: bool, console: Console) -> None:
     with claimed(out, name, asdict(config), resume=resume) as folder:
-        results = study(session_in(folder, resume=resume, final_states=False))
+        results = study.run(config, session_in(folder, resume=resume, final_states=False))
         write_atomically(folder / "results.json", (json.dumps(results, indent=1) + "\n").encode())
-    console.print(table(results))
+    console.print(study.table(results))
     console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold].")
 
 
@@ -173,21 +188,4 @@ def _grid_priors_table(results: dict[str, Any]) -> Table:
     for row in results["readings"].values():
         numbers = (f"{sum(row['final'][measure]) / len(row['chosen']):.3g}" for measure in TITLES)
         table.add_row(row["what"], f"{row['seconds'][-1]:.0f}", *numbers)
-    return table
-
-
-def _deviations_table(results: dict[str, Any]) -> Table:
-    table = Table("", "changed", "median", "lowest", "≥ 195", "spread of V", title="Zero-shot return of the priors")
-    for name, row in results["variants"].items():
-        good = f"{row['at_least_195']} of {len(row['zero_shot'])}"
-        numbers = (f"{row['median']:.0f}", f"{row['zero_shot'][0]:.0f}", good, f"{row['value_spread_median']:.2f}")
-        table.add_row(name, row["what"], *numbers)
-    return table
-
-
-def _learners_table(results: dict[str, Any]) -> Table:
-    table = Table("settings", *ARMS, "prior: lower quartile at end", title="Mean return over all evaluations")
-    for name, row in results["variants"].items():
-        means = (f"{row['arms'][arm]['mean_over_evaluations']:.0f}" for arm in ARMS)
-        table.add_row(name, *means, f"{row['arms']['prior']['q1'][-1]:.0f}")
     return table

@@ -12,11 +12,12 @@ from upslope.agents.ddpg import DDPGConfig
 from upslope.agents.dqn import DQNConfig
 from upslope.errors import UpslopeError
 from upslope.experiments.adaptation_panel import (
+    RULES,
     AdaptationPanel,
     adaptation_keys,
     adaptation_learners,
     adaptation_panel,
-    one_rule,
+    one_of,
 )
 from upslope.experiments.keys import Purpose, key_for, keys_per_task
 from upslope.experiments.priors import (
@@ -169,13 +170,13 @@ def _compile_ahead(
     if "left" in panels:
         starts = blank_priors(family, config.meta_training, len(config.panel.stops), config.seeds)
         sizes = np.zeros((len(config.panel.stops), config.tasks))
-        learners = adaptation_learners(family, starts, one_rule(0), config.adaptation, tasks, sizes)
+        learners = adaptation_learners(family, starts, one_of(RULES, 0), config.adaptation, tasks, sizes)
         expect(learners, adaptation_keys(seed, Purpose.LEFT, learners), ahead)
     if "middle" in panels or "right" in panels:
         expect(*oracle_learners(family, tasks, config.oracle, seed), ahead)
-        arm = shaping_arms(family, blank, np.zeros(config.seeds), None, config.tasks)["prior"]
+        shaping = shaping_arms(family, blank, np.zeros(config.seeds), None, config.tasks)["prior"]
         keys = keys_per_task(seed, config.seeds, config.tasks, Purpose.MIDDLE)
         if "middle" in panels:
-            expect(shaping_learners(family, tasks, arm, config.dqn), keys, ahead)
+            expect(shaping_learners(family, tasks, shaping, config.dqn), keys, ahead)
         if "right" in panels:
-            expect(shaping_learners(pushes, tasks, arm, config.ddpg), keys, ahead)
+            expect(shaping_learners(pushes, tasks, shaping, config.ddpg), keys, ahead)

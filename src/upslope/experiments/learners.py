@@ -90,6 +90,7 @@ def learners(config: LearnersConfig, session: Session | None = None) -> dict[str
                     updates=updates,
                     every=config.every,
                     session=session,
+                    stage=f"{learner}, {name}:",
                 )
                 summaries = {arm: curves.summary for arm, curves in panel.arms.items()}
                 rows[f"{learner}, {name}"] = {"arms": summaries, "settings": _plain(asdict(settings))}

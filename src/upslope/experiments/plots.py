@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from upslope.experiments.results import Arm, FigureResult, Panel
+from upslope.experiments.results import Arm, FigureResult, Panel, Score
 
 #: What each arm is called and drawn with; dashed arms are references, dotted ones are not policy-invariant.
 STYLES: dict[str, tuple[str, str, str]] = {
@@ -17,6 +17,8 @@ STYLES: dict[str, tuple[str, str, str]] = {
     "prior": ("meta-learned prior", "#d6604d", "-"),
     "prior_ensemble": ("mean of the priors", "#b2182b", "-"),
     "prior_unzeroed": ("prior, not policy-invariant", "#f4a582", ":"),
+    "multi_task_dqn": ("prior of multi-task DQN", "#8c510a", "-"),
+    "manhattan": ("Manhattan distance", "#762a83", "--"),
     "oracle": ("oracle", "#2166ac", "--"),
     "algorithm2": ("Algorithm 2", "#b2182b", "-"),
     "algorithm2_raw": ("Algorithm 2, raw A", "#f4a582", "-"),
@@ -38,49 +40,84 @@ def draw(result: FigureResult, folder: Path) -> None:
 
 def _figure(result: FigureResult) -> Figure:
     count = len(result.panels)
-    second_row = "left" in result.panels
-    figure, axes = plt.subplots(
-        1 + second_row, count, figsize=(5.2 * count, 4.2 * (1 + second_row)), squeeze=False, layout="constrained"
+    has_left = "left" in result.panels
+    has_discounted = all(
+        "discounted_return" in arm.others for panel in result.panels.values() for arm in panel.arms.values()
     )
+    rows = 1 + has_left + has_discounted
+    figure, axes = plt.subplots(rows, count, figsize=(5.2 * count, 4.2 * rows), squeeze=False, layout="constrained")
     for axis, panel in zip(axes[0], result.panels.values(), strict=True):
         draw_panel(axis, panel)
-    if second_row:
-        draw_training(axes[1, 0], result)
-        for axis in axes[1, 1:]:
+    if has_discounted:
+        for axis, panel in zip(axes[-1], result.panels.values(), strict=True):
+            draw_discounted(axis, panel)
+    if has_left:
+        for axis in axes[1]:
             axis.axis("off")
-        if count > 1:
-            axes[1, 1].axis("on")
-            draw_starts(axes[1, 1], result.panels["left"], _gain)
-            axes[1, 1].set(
-                title="Adaptation by the age of the prior", ylabel="mean return over updates − return before"
-            )
-        if count > 2:
-            axes[1, 2].axis("on")
-            draw_starts(axes[1, 2], result.panels["left"], _late_lower_quartile)
-            axes[1, 2].set(title="Steadiness by the age of the prior", ylabel="lower quartile of the last five updates")
+        for axis, draw_one in zip(axes[1], (draw_training, _draw_gains, _draw_steadiness), strict=False):
+            axis.axis("on")
+            draw_one(axis, result)
     if result.quick:
         figure.suptitle("Quick form: too few seeds, tasks and updates to say anything about the paper", color="#b2182b")
     return figure
 
 
+def _draw_gains(axis: Axes, result: FigureResult) -> None:
+    panel = result.panels["left"]
+    draw_starts(axis, panel, _gain)
+    label = f"mean {panel.score.name} over updates − {panel.score.name} before"
+    axis.set(title="Adaptation by the age of the prior", ylabel=label)
+
+
+def _draw_steadiness(axis: Axes, result: FigureResult) -> None:
+    draw_starts(axis, result.panels["left"], _late_lower_quartile)
+    axis.set(title="Steadiness by the age of the prior", ylabel="lower quartile of the last five updates")
+
+
 def draw_panel(axis: Axes, panel: Panel) -> None:
-    """Median returns over seeds and tasks, with the quartiles shaded."""
+    """Every arm over its updates: medians with the quartiles shaded, or interquartile means with their intervals."""
+    middle, low, high = _BANDS[panel.score.curves]
     for name, arm in panel.arms.items():
-        label, colour, line = STYLES[name]
-        summary = arm.summary
-        axis.plot(arm.updates, summary["median"], line, color=colour, label=label, linewidth=1.6)
-        axis.fill_between(arm.updates, summary["q1"], summary["q3"], color=colour, alpha=0.10, linewidth=0)
-    axis.set(title=panel.title, xlabel="updates", ylabel="return (median, quartiles)", ylim=(0, 206))
+        _draw_curve(axis, name, arm.updates, *(arm.summary[line] for line in (middle, low, high)))
+    spread = "median, quartiles" if middle == "median" else "interquartile mean, 95 %"
+    axis.set(title=panel.title, xlabel="updates", ylabel=f"{panel.score.name} ({spread})", ylim=_limits(panel.score))
     axis.legend(frameon=False, fontsize=7, loc="lower right")
+
+
+def draw_discounted(axis: Axes, panel: Panel) -> None:
+    """Discounted returns, which tell short ways from long ones: medians with the quartiles shaded."""
+    for name, arm in panel.arms.items():
+        curves = arm.summary["discounted_return"]
+        _draw_curve(axis, name, arm.updates, curves["median"], curves["q1"], curves["q3"])
+    axis.set(title=panel.title, xlabel="updates", ylabel="discounted return (median, quartiles)", ylim=(0, 1.03))
+
+
+_BANDS = {"median": ("median", "q1", "q3"), "iqm": ("iqm", "iqm_low", "iqm_high")}
+
+
+def _draw_curve(axis: Axes, name: str, updates: np.ndarray, middle: list, low: list, high: list) -> None:
+    label, colour, line = STYLES[name]
+    axis.plot(updates, middle, line, color=colour, label=label, linewidth=1.6)
+    axis.fill_between(updates, low, high, color=colour, alpha=0.10, linewidth=0)
+
+
+def _limits(score: Score) -> tuple[float, float]:
+    return 0.0, 1.03 * score.top
 
 
 def draw_training(axis: Axes, result: FigureResult) -> None:
     """The prior over its training: zero-shot return on extra training tasks, a line per seed."""
+    score = next(iter(result.panels.values())).score
     iterations = np.asarray(result.training["iterations"])
     returns = np.asarray(result.training["returns"])
     axis.plot(iterations, returns.T, color="#b2182b", alpha=0.35, linewidth=0.9)
     axis.plot(iterations, np.median(returns, axis=0), color="#b2182b", linewidth=1.8, label="median of the seeds")
-    axis.set(title="The prior over its training", xlabel="meta-iterations", ylabel="zero-shot return", ylim=(0, 206))
+    axis.set(
+        title="The prior over its training",
+        xlabel="meta-iterations",
+        ylabel=f"zero-shot {score.name}",
+        ylim=_limits(score),
+    )
     axis.legend(frameon=False, fontsize=7, loc="lower right")
 
 

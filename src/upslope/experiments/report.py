@@ -2,7 +2,6 @@
 
 import base64
 import html
-import math
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +9,14 @@ from rich.console import Console
 from rich.table import Table
 
 from upslope.experiments.plots import STYLES
-from upslope.experiments.results import FigureResult, Panel
-
-COLUMNS = ("arm", "start", "end", "lower quartile at end", "mean", "195 first at", "200 first at")
+from upslope.experiments.results import FigureResult, Panel, Score
+from upslope.experiments.wording import WORDING
 
 
 def print_summary(result: FigureResult, console: Console) -> None:
     """One table per panel, then the sentences that the numbers allow."""
     for panel in result.panels.values():
-        table = Table(*COLUMNS, title=panel.title, title_justify="left")
+        table = Table(*columns(panel.score), title=panel.title, title_justify="left")
         for row in panel_rows(panel):
             table.add_row(*row)
         console.print(table)
@@ -26,21 +24,26 @@ def print_summary(result: FigureResult, console: Console) -> None:
         console.print(f"• {sentence}", highlight=False)
 
 
+def columns(score: Score) -> tuple[str, ...]:
+    """The head of a panel's table."""
+    return ("arm", "start", "end", "lower quartile at end", "mean", *(f"{goal} first at" for goal in score.goals))
+
+
 def panel_rows(panel: Panel) -> list[tuple[str, ...]]:
     """The table of a panel: medians at the first and last evaluation, and when the top was first reached."""
     rows: list[tuple[str, ...]] = []
+    digits = panel.score.digits
     for name, arm in panel.arms.items():
         summary = arm.summary
-        first, last = summary["first_median_195"], summary["first_median_200"]
+        firsts = (summary[f"first_median_{goal}"] for goal in panel.score.goals)
         rows.append(
             (
                 STYLES[name][0],
-                f"{summary['median'][0]:.0f}",
-                f"{summary['median'][-1]:.0f}",
-                f"{summary['q1'][-1]:.0f}",
-                f"{summary['mean_over_evaluations']:.1f}",
-                "never" if first is None else str(first),
-                "never" if last is None else str(last),
+                f"{summary['median'][0]:.{digits}f}",
+                f"{summary['median'][-1]:.{digits}f}",
+                f"{summary['q1'][-1]:.{digits}f}",
+                f"{summary['mean_over_evaluations']:.{digits + 1}f}",
+                *("never" if first is None else str(first) for first in firsts),
             )
         )
     return rows
@@ -48,50 +51,55 @@ def panel_rows(panel: Panel) -> list[tuple[str, ...]]:
 
 def findings(result: FigureResult) -> list[str]:
     """Sentences computed from the numbers; none is said that they do not bear out."""
-    sentences = [_about_priors(result)]
-    for name in ("middle", "right"):
-        if name in result.panels:
-            sentences.append(_about_shaping(result.panels[name]))
-    if "left" in result.panels:
-        sentences.append(_about_adaptation(result.panels["left"]))
+    sentences = [WORDING[result.name].about_priors(result.priors)]
+    for panel in result.panels.values():
+        sentences.append(
+            _about_adaptation(panel, WORDING[result.name].paper) if panel.variants else _about_shaping(panel)
+        )
     return sentences
-
-
-def _about_priors(result: FigureResult) -> str:
-    means = [row["zero_shot_mean"] for row in result.priors]
-    good = sum(mean >= 195 for mean in means)
-    return (
-        f"{good} of {len(means)} priors balance unseen poles for 195 steps or more on average before any learning "
-        f"there (lowest mean {min(means):.1f})."
-    )
 
 
 def _about_shaping(panel: Panel) -> str:
     means = {name: float(arm.returns.mean()) for name, arm in panel.arms.items()}
-    ratio, control = means["prior"] / means["unshaped"], means["prior"] / means["constant"]
+    digits = panel.score.digits
+    said = {name: f"{mean:.{digits}f}" for name, mean in means.items()}
+    told = [
+        f"{said['unshaped']} without shaping{_times(means, 'unshaped')}",
+        f"{said['constant']} with a constant potential{_times(means, 'constant')}",
+    ]
+    others = {
+        "prior_ensemble": "the mean of the priors gives",
+        "multi_task_dqn": "the prior of multi-task DQN",
+        "manhattan": "Manhattan distance",
+        "oracle": "the oracle",
+    }
+    rest = ", ".join(f"{words} {said[name]}" for name, words in others.items() if name in said)
     return (
-        f"{panel.title}: shaped by the prior, the mean over all evaluations is {means['prior']:.0f} against "
-        f"{means['unshaped']:.0f} without shaping ({ratio:.2f} times) and {means['constant']:.0f} with a constant "
-        f"potential ({control:.2f} times); the mean of the priors gives {means['prior_ensemble']:.0f}, "
-        f"the oracle {means['oracle']:.0f}."
+        f"{panel.title}: shaped by the prior, the mean {panel.score.name} over all evaluations is {said['prior']} "
+        f"against {' and '.join(told)}; {rest}."
     )
 
 
-def _about_adaptation(panel: Panel) -> str:
+def _times(means: dict[str, float], control: str) -> str:
+    return f" ({means['prior'] / means[control]:.2f} times)" if means[control] > 0 else ""
+
+
+def _about_adaptation(panel: Panel, paper: str) -> str:
+    name, goal = list(panel.score.goals.items())[-1]
+    digits = panel.score.digits
     ours, theirs = panel.arms["algorithm2"].summary, panel.arms["maml"].summary
-
-    def reached(summary: dict) -> float:
-        return math.inf if summary["first_median_200"] is None else summary["first_median_200"]
-
-    if reached(ours) == reached(theirs) == math.inf:
-        speed = "neither Algorithm 2 nor MAML reaches a median of 200"
+    first, other = ours[f"first_median_{name}"], theirs[f"first_median_{name}"]
+    if first is None and other is None:
+        speed = f"neither Algorithm 2 nor MAML reaches a median of {goal:.0f}"
     else:
-        said = [f"{value:.0f}" if math.isfinite(value) else "never" for value in (reached(ours), reached(theirs))]
-        speed = f"the median first reaches 200 at update {said[0]} with Algorithm 2 and {said[1]} with MAML"
+        said = ["never" if update is None else str(update) for update in (first, other)]
+        speed = (
+            f"the median first reaches {goal:.0f} at update {said[0]} with Algorithm 2 and {said[1]} with MAML{paper}"
+        )
     return (
-        f"{panel.title}: {speed} (the paper: 4 and 8); lower quartile at the end {ours['q1'][-1]:.0f} and "
-        f"{theirs['q1'][-1]:.0f}, mean over updates {ours['mean_over_evaluations']:.0f} and "
-        f"{theirs['mean_over_evaluations']:.0f}."
+        f"{panel.title}: {speed}; lower quartile at the end {ours['q1'][-1]:.{digits}f} and "
+        f"{theirs['q1'][-1]:.{digits}f}, mean over updates {ours['mean_over_evaluations']:.{digits}f} and "
+        f"{theirs['mean_over_evaluations']:.{digits}f}."
     )
 
 
@@ -101,26 +109,27 @@ def write_report(result: FigureResult, folder: Path) -> None:
     sections = "\n".join(_section(panel) for panel in result.panels.values())
     notes = "\n".join(f"<li>{html.escape(sentence)}</li>" for sentence in findings(result))
     quick = "<p class='quick'>This is the quick form: too small to say anything about the paper.</p>"
+    digits = next(iter(result.panels.values())).score.digits + 1
     seeds, tasks = next(iter(next(iter(result.panels.values())).arms.values())).returns.shape[:2]
+    words = WORDING[result.name]
     page = _PAGE.format(
-        title="Figure 1: CartPoles with unseen pole lengths",
+        title=words.title,
+        intro=words.intro.format(seeds=seeds, tasks=tasks),
         quick=quick if result.quick else "",
         notes=notes,
         picture=picture,
         sections=sections,
-        seeds=seeds,
-        tasks=tasks,
         first_seed=result.configuration["first_seed"],
         compiling=f"{result.seconds_compiling:.0f}",
         running=f"{result.seconds_running:.0f}",
-        lowest=f"{min(row['zero_shot_mean'] for row in result.priors):.1f}",
-        average=f"{np.mean([row['zero_shot_mean'] for row in result.priors]):.1f}",
+        lowest=f"{min(row['zero_shot_mean'] for row in result.priors):.{digits}f}",
+        average=f"{np.mean([row['zero_shot_mean'] for row in result.priors]):.{digits}f}",
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
 
 
 def _section(panel: Panel) -> str:
-    head = "".join(f"<th>{column}</th>" for column in COLUMNS)
+    head = "".join(f"<th>{column}</th>" for column in columns(panel.score))
     rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in panel_rows(panel))
     body = "\n".join(f"<tr>{row}</tr>" for row in rows)
     return f"<h2>{html.escape(panel.title)}</h2>\n<table><tr>{head}</tr>\n{body}</table>"
@@ -137,13 +146,11 @@ _PAGE = """<!doctype html>
 </style></head><body>
 <h1>{title}</h1>
 {quick}
-<p>A potential was meta-learned over poles of every length, once per seed, and then met {tasks} poles that it had
-never seen. Every curve is the median over {seeds} seeds × {tasks} poles of the raw, unshaped return of the greedy
-policy; the shade lies between the quartiles. An episode ends after 200 steps, so 200 is the top.</p>
+<p>{intro}</p>
 <ul>
 {notes}
 </ul>
-<img alt="Figure 1" src="data:image/png;base64,{picture}">
+<img alt="{title}" src="data:image/png;base64,{picture}">
 {sections}
 <footer>Seeds from {first_seed} on. {compiling} s compiling, {running} s running. Zero-shot mean of the priors
 {average}, lowest {lowest}. All numbers are in results.json, all returns in returns.npz.</footer>

@@ -4,13 +4,39 @@ import json
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from upslope.run.machine import hardware, versions
 from upslope.statistics import bootstrap, first_at_least, quartiles
+
+
+@dataclass(frozen=True)
+class Score:
+    """What the returns of a figure are.
+
+    Attributes:
+        name: of one of them.
+        top: the highest there is.
+        goals: what the median is to reach, by name.
+        digits: that it is told with, after the point.
+        curves: what panels show: medians and quartiles, or, of scores that are 0 or 1, interquartile means.
+    """
+
+    name: str
+    top: float
+    goals: dict[str, float]
+    digits: int
+    curves: Literal["median", "iqm"]
+
+
+#: Poles: steps until it fell, 200 at most.
+EPISODE_LENGTH = Score("return", 200.0, {"195": 195.0, "200": 200.0}, 0, "median")
+
+#: Maps: 1 where the greedy policy reaches the goal within an episode. A median of 1 means that most maps are solved.
+SUCCESS = Score("success", 1.0, {"solved": 1.0}, 2, "iqm")
 
 
 @dataclass(frozen=True)
@@ -21,29 +47,48 @@ class Arm:
         updates: made before each evaluation ``[evaluations]``.
         returns: raw greedy returns ``[seeds, tasks, evaluations]``.
         notes: what was chosen for this arm, such as its step size.
+        score: what the returns are.
+        others: further measures, by name, of the returns' shape.
     """
 
     updates: np.ndarray
     returns: Float[np.ndarray, "seeds tasks evaluations"]
     notes: dict[str, Any] = field(default_factory=dict)
+    score: Score = EPISODE_LENGTH
+    others: dict[str, Float[np.ndarray, "seeds tasks evaluations"]] = field(default_factory=dict)
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The curves and numbers of results.json."""
-        middle, interval = quartiles(self.returns), bootstrap(self.returns)
-        return {
-            "updates": self.updates.tolist(),
-            "median": middle.median.tolist(),
-            "q1": middle.q1.tolist(),
-            "q3": middle.q3.tolist(),
-            "iqm": interval.iqm.tolist(),
-            "iqm_low": interval.low.tolist(),
-            "iqm_high": interval.high.tolist(),
-            "mean_over_evaluations": float(self.returns.mean()),
-            "first_median_195": first_at_least(self.updates, middle.median, 195.0),
-            "first_median_200": first_at_least(self.updates, middle.median, 200.0),
-            **self.notes,
+        curves = _curves(self.returns)
+        goals = {
+            f"first_median_{name}": first_at_least(self.updates, np.asarray(curves["median"]), goal)
+            for name, goal in self.score.goals.items()
         }
+        others = {name: _curves(values) for name, values in self.others.items()}
+        return {"updates": self.updates.tolist(), **curves, **goals, **self.notes, **others}
+
+
+def arm_of(updates: np.ndarray, reports: dict[str, Any], score: Score, notes: dict[str, Any] | None = None) -> Arm:
+    """An arm from what its learners reported, by name ``[seeds, tasks, evaluations]``."""
+    measures = {name: np.asarray(values) for name, values in reports.items()}
+    return Arm(updates, measures.pop("return"), notes or {}, score, measures)
+
+
+def _curves(values: Float[np.ndarray, "seeds tasks evaluations"]) -> dict[str, Any]:
+    """Over all runs, at each evaluation and over them."""
+    middle, interval = quartiles(values), bootstrap(values)
+    of_runs = bootstrap(values.mean(axis=-1, keepdims=True))
+    return {
+        "median": middle.median.tolist(),
+        "q1": middle.q1.tolist(),
+        "q3": middle.q3.tolist(),
+        "iqm": interval.iqm.tolist(),
+        "iqm_low": interval.low.tolist(),
+        "iqm_high": interval.high.tolist(),
+        "mean_over_evaluations": float(values.mean()),
+        "iqm_of_means": [float(bound[0]) for bound in (of_runs.iqm, of_runs.low, of_runs.high)],
+    }
 
 
 @dataclass(frozen=True)
@@ -66,13 +111,18 @@ class Panel:
     variants: dict[str, dict[str, Arm]] = field(default_factory=dict)
     notes: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def score(self) -> Score:
+        """What the returns of all arms are."""
+        return next(iter(self.arms.values())).score
+
 
 @dataclass(frozen=True)
 class FigureResult:
     """All that a figure is drawn and told from.
 
     Attributes:
-        name: of the figure.
+        name: of the figure: what its page tells is found by it.
         panels: by name.
         priors: one row per seed.
         training: ``iterations`` and ``returns`` of the meta-training.
@@ -113,6 +163,7 @@ def write_results(result: FigureResult, folder: Path) -> None:
     for panel_name, panel in result.panels.items():
         for arm_name, arm in panel.arms.items():
             arrays[f"{panel_name}/{arm_name}"] = arm.returns
+            arrays |= {f"{panel_name}/{arm_name}/{name}": values for name, values in arm.others.items()}
         for variant, arms in panel.variants.items():
             arrays |= {f"{panel_name}@{variant}/{name}": arm.returns for name, arm in arms.items()}
     np.savez_compressed(folder / "returns.npz", allow_pickle=False, **arrays)

@@ -1,4 +1,4 @@
-"""Shaping only (Fig. 1, middle and right): one learner with every potential, all arms through one program."""
+"""Shaping only (Fig. 1, middle and right; Figs. 3 and 5, right): one learner with every potential, one program."""
 
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ import numpy as np
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.experiments.keys import Purpose, keys_per_task
-from upslope.experiments.results import Arm, Panel
+from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of
 from upslope.networks import DuelingQ
 from upslope.potentials import MeanPotential
 from upslope.run.loop import run
@@ -37,8 +37,8 @@ class ShapingArm(NamedTuple):
 
 def shaping_arms(
     family: AbstractFamily, priors: DuelingQ, levels: np.ndarray, oracles: DuelingQ | None, tasks: int
-) -> dict[str, ShapingArm]:
-    """The arms of every shaping comparison.
+) -> dict[str, Shaping]:
+    """The arms of a shaping comparison whose potentials are networks.
 
     Args:
         family: of the tasks, for its γ.
@@ -71,20 +71,22 @@ def shaping_arms(
     }
     if oracles is not None:
         arms["oracle"] = ShapingArm(fill(oracles, 1), 1.0, none)
-    return arms
+    return {name: _shaping(arm, seeds, tasks) for name, arm in arms.items()}
 
 
 def shaping_panel(
     title: str,
     family: AbstractFamily,
     tasks: Task,
-    arms: dict[str, ShapingArm],
+    arms: dict[str, Shaping],
     config: DQNConfig | DDPGConfig,
     first_seed: int,
     *,
     updates: int,
     every: int,
     session: Session | None = None,
+    stage: str | None = None,
+    score: Score = EPISODE_LENGTH,
 ) -> Panel:
     """Trains one agent per arm, seed and task; arms share seeds, tasks and randomness.
 
@@ -92,45 +94,50 @@ def shaping_panel(
         title: of the panel.
         family: of the tasks; DQN where its actions are discrete, DDPG where they are continuous.
         tasks: ``[tasks, ...]``.
-        arms: from `shaping_arms`.
+        arms: the shaping of each, stacked ``[seeds, tasks, ...]``; potentials of one form share one program.
         config: of the agent, the same for every arm.
         first_seed: of the runs.
         updates: of each agent.
         every: updates between evaluations.
         session: who watches, and where checkpoints go.
+        stage: what its runs are called, before their arms' names; after the learner if None.
+        score: what the returns are.
     """
     count = jax.tree.leaves(tasks)[0].shape[0]
     purpose = Purpose.RIGHT if family.continuous else Purpose.MIDDLE
     finished: dict[str, Arm] = {}
     compiling = running = 0.0
-    for name, arm in arms.items():
-        learner = shaping_learners(family, tasks, arm, config)
+    for name, shaping in arms.items():
+        learner = shaping_learners(family, tasks, shaping, config)
         outcome = run(
             learner,
-            keys_per_task(first_seed, arm.bias.shape[0], count, purpose),
+            keys_per_task(first_seed, jax.tree.leaves(shaping)[0].shape[0], count, purpose),
             updates=updates,
             every=every,
-            title=f"{type(learner).__name__} {name}",
+            title=f"{stage or type(learner).__name__} {name}",
             session=session,
         )
-        finished[name] = Arm(outcome.updates, np.asarray(outcome.reports["return"]))
+        finished[name] = arm_of(outcome.updates, outcome.reports, score)
         compiling += outcome.seconds_compiling
         running += outcome.seconds_running
     return Panel(title, finished, compiling, running)
 
 
 def shaping_learners(
-    family: AbstractFamily, tasks: Task, arm: ShapingArm, config: DQNConfig | DDPGConfig
+    family: AbstractFamily, tasks: Task, shaping: Shaping, config: DQNConfig | DDPGConfig
 ) -> DQN | DDPG:
-    """An arm's agents ``[seeds, tasks]``."""
-    shape = arm.bias.shape[0], jax.tree.leaves(tasks)[0].shape[0]
-
-    def fill(numbers: Any) -> jax.Array:
-        return jnp.asarray(np.broadcast_to(np.asarray(numbers, np.float32), shape))
-
-    potential = MeanPotential(arm.networks, fill(arm.scale), fill(arm.bias[:, None]))
-    shaping = Shaping(potential, fill(arm.terminal_discount))
-    everywhere = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (shape[0], *leaf.shape)), tasks)
+    """An arm's agents ``[seeds, tasks]``, given its shaping ``[seeds, tasks, ...]``."""
+    seeds = jax.tree.leaves(shaping)[0].shape[0]
+    everywhere = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (seeds, *leaf.shape)), tasks)
     if isinstance(config, DDPGConfig):
         return DDPG(family, everywhere, shaping, config)
     return DQN(family, everywhere, shaping, config)
+
+
+def _shaping(arm: ShapingArm, seeds: int, tasks: int) -> Shaping:
+    """An arm's shaping for every learner ``[seeds, tasks]``."""
+
+    def fill(numbers: Any) -> jax.Array:
+        return jnp.asarray(np.broadcast_to(np.asarray(numbers, np.float32), (seeds, tasks)))
+
+    return Shaping(MeanPotential(arm.networks, fill(arm.scale), fill(arm.bias[:, None])), fill(arm.terminal_discount))

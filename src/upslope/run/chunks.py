@@ -1,7 +1,9 @@
 """Chunks of steps: one compiled program, mapped over a batch of learners and spread over the local devices."""
 
+import math
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,21 +11,22 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Int
 
-from upslope.learner import AbstractLearner
+from upslope.learner import AbstractLearner, in_turn
 from upslope.run.compiling import QUICK_TO_COMPILE, QUICK_TO_RUN
 from upslope.types import Key, Keys, Metrics
 
 _AXIS = "learners"
 
 
-def mesh() -> Mesh:
-    """All local devices in a row."""
-    return Mesh(jax.local_devices(), (_AXIS,))
+def mesh(learners: int) -> Mesh:
+    """The local devices that so many learners are laid over, in a row."""
+    return Mesh(jax.local_devices()[: devices(learners)], (_AXIS,))
 
 
-def devices() -> int:
-    """How many share the learners; their number must be a multiple of it."""
-    return len(jax.local_devices())
+def devices(learners: int) -> int:
+    """How many share the learners, whose number is padded to a multiple of it: none that only padding would use."""
+    share = math.ceil(learners / len(jax.local_devices()))
+    return math.ceil(learners / share)
 
 
 def close(learners: AbstractLearner) -> None:
@@ -32,7 +35,7 @@ def close(learners: AbstractLearner) -> None:
 
 def spread(batch: Any) -> Any:
     """Lays the leading axis of a stacked PyTree ``[learners, ...]`` over the devices; they must divide it."""
-    everywhere = mesh()
+    everywhere = mesh(_length(batch))
 
     def place(leaf: Any) -> jax.Array:
         return jax.device_put(leaf, NamedSharding(everywhere, P(_AXIS) if jnp.ndim(leaf) else P()))
@@ -58,7 +61,7 @@ class Chunk(NamedTuple):
 
 def compile(learners: AbstractLearner, keys: Keys) -> None:
     """Compiles the programs that `start` and `advance` will look for. They must be laid out by `spread`."""
-    everywhere = mesh()
+    everywhere = mesh(keys.shape[0])
     started = _start.lower(learners, keys, everywhere).compile()
 
     def known(info: Any, sharding: Any) -> jax.ShapeDtypeStruct:
@@ -70,7 +73,7 @@ def compile(learners: AbstractLearner, keys: Keys) -> None:
 
 def start(learners: AbstractLearner, keys: Keys) -> tuple[Any, Metrics]:
     """The states ``[learners, ...]`` before the first step, and the metrics' sums, all zero."""
-    return _start(learners, keys, mesh())
+    return _start(learners, keys, mesh(keys.shape[0]))
 
 
 def advance(learners: AbstractLearner, states: Any, totals: Metrics, steps: int, *, fresh: bool, report: bool) -> Chunk:
@@ -88,7 +91,8 @@ def advance(learners: AbstractLearner, states: Any, totals: Metrics, steps: int,
         fresh: start the sums anew.
         report: let every learner report at the end.
     """
-    return _advance(learners, states, totals, np.int32(steps), np.bool_(fresh), np.bool_(report), mesh())
+    shared = mesh(_length(totals))
+    return _advance(learners, states, totals, np.int32(steps), np.bool_(fresh), np.bool_(report), shared)
 
 
 def shapes(learners: AbstractLearner, keys: Keys) -> tuple[Any, Any, Any]:
@@ -136,11 +140,26 @@ def _axes(inputs: Any) -> Any:
     return jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, inputs)
 
 
+def _length(batch: Any) -> int:
+    """How many learners a stacked PyTree is of ``[learners, ...]``."""
+    return next(leaf.shape[0] for leaf in jax.tree.leaves(batch) if jnp.ndim(leaf))
+
+
 def _mapped(function: Any, devices: Mesh, *inputs: Any) -> Any:
     """The function over the learners' axis of every input, on each device for its own share of them."""
     specs = jax.tree.map(lambda leaf: P(_AXIS) if jnp.ndim(leaf) else P(), inputs)
-    over_learners = jax.vmap(function, in_axes=_axes(inputs))
+    over_learners = _in_turn(function) if in_turn(inputs[0]) else jax.vmap(function, in_axes=_axes(inputs))
     return jax.shard_map(over_learners, mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False)(*inputs)
+
+
+def _in_turn(function: Any) -> Any:
+    """The function of one learner after the other; 0-d leaves are shared by all."""
+
+    def over_learners(*inputs: Any) -> Any:
+        own, shared = eqx.partition(inputs, lambda leaf: bool(jnp.ndim(leaf)))
+        return jax.lax.map(lambda one: function(*eqx.combine(one, shared)), own)
+
+    return over_learners
 
 
 def _start_all(learners: AbstractLearner, keys: Keys, devices: Mesh) -> tuple[Any, Metrics]:

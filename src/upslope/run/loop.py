@@ -239,5 +239,5 @@ def _laid_out(learners: AbstractLearner, keys: Keys) -> tuple[Any, AbstractLearn
 
 def _pad(leaf: Any, engine: Any) -> Any:
     """Repeats the last learner until the devices divide their number."""
-    missing = -leaf.shape[0] % engine.devices()
+    missing = -leaf.shape[0] % engine.devices(leaf.shape[0])
     return leaf[np.minimum(np.arange(leaf.shape[0] + missing), leaf.shape[0] - 1)] if missing else leaf

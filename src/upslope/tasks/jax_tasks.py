@@ -105,5 +105,10 @@ class JaxTasks(AbstractFamily):
         return jax.vmap(self.env.step)(jax.random.split(key, _count(tasks)), state, action, tasks)
 
 
+def is_finite(family: AbstractFamily) -> bool:
+    """Whether all states of a task can be listed, so that tables fit it: its environment has ``observe_all``."""
+    return isinstance(family, JaxTasks) and hasattr(family.env, "observe_all")
+
+
 def _count(tasks: Task) -> int:
     return jax.tree.leaves(tasks)[0].shape[0]

@@ -1,0 +1,174 @@
+"""Figures 3 and 5: unseen maps. Left: adaptation with the advantage head; right: shaped DQN."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+from upslope.agents.adaptation import AdaptationConfig
+from upslope.agents.dqn import DQNConfig, for_maps
+from upslope.errors import UpslopeError
+from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
+from upslope.experiments.grid_arms import grid_arms, mean_levels_on_maps
+from upslope.experiments.grid_priors import Maps, families
+from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.priors import Priors, describe_priors, meta_train_priors
+from upslope.experiments.results import SUCCESS, FigureResult, Panel
+from upslope.experiments.shaping_panel import shaping_panel
+from upslope.measures import measure_all, truths
+from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.run.compiling import compile_clock
+from upslope.run.session import Session
+from upslope.tasks import JaxTasks
+from upslope.types import Task
+
+GridPanelName = Literal["left", "right"]
+
+
+@dataclass(frozen=True)
+class GridFigureConfig:
+    """The whole protocol of Figures 3 and 5.
+
+    Attributes:
+        maps: "clean" for Figure 3 (10 × 10, no test goal ever a training goal), "obstacles" for Figure 5 (8 × 8).
+        seeds: priors, and runs per map.
+        tasks: unseen maps.
+        first_seed: seeds are first_seed, first_seed + 1, …; the test maps are drawn by it too.
+        dqn_updates: length of the right panel.
+        every: updates between evaluations there.
+        meta_training: Algorithm 1.
+        multi_task: the control, plain DQN over all training maps; an iteration costs about as much.
+        panel: stops and step sizes of the left panel.
+        adaptation: sizes of batches and replay in the left panel.
+        dqn: the learner of the right panel.
+    """
+
+    maps: Maps
+    seeds: int = 5
+    tasks: int = 40
+    first_seed: int = 0
+    dqn_updates: int = 400
+    every: int = 25
+    meta_training: MetaTrainingConfig = field(default_factory=for_grid_games)
+    multi_task: MetaTrainingConfig = field(default_factory=multi_task_dqn)
+    panel: AdaptationPanel = field(
+        default_factory=lambda: AdaptationPanel(
+            stops=(1500, 3000, 6000), updates=20, step_sizes=(0.003, 0.01, 0.03, 0.1), start=0.5, average="mean"
+        )
+    )
+    adaptation: AdaptationConfig = field(
+        default_factory=lambda: AdaptationConfig(batch_size=32, replay_capacity=1000, steps_per_update=50)
+    )
+    dqn: DQNConfig = field(default_factory=for_maps)
+
+    def __post_init__(self) -> None:
+        if self.seeds < 1 or self.tasks < 1:
+            raise UpslopeError(f"{self.seeds} seeds on {self.tasks} maps make no figure: give at least 1 of each.")
+
+
+def with_iterations(config: GridFigureConfig, iterations: int) -> GridFigureConfig:
+    """The figure with shorter or longer meta-training: both recipes alike, the left panel's stops in proportion."""
+    if iterations < 1:
+        raise UpslopeError(f"{iterations} iterations teach nothing: give at least 1.")
+    stops = tuple(max(1, stop * iterations // config.meta_training.iterations) for stop in config.panel.stops)
+    return replace(
+        config,
+        meta_training=for_grid_games(iterations),
+        multi_task=multi_task_dqn(iterations),
+        panel=replace(config.panel, stops=stops),
+    )
+
+
+def quick_grid_figure(config: GridFigureConfig) -> GridFigureConfig:
+    """A minute or two: shows that all works, says nothing."""
+    config = with_iterations(config, 32)
+    return replace(
+        config,
+        seeds=1,
+        tasks=4,
+        dqn_updates=30,
+        every=15,
+        meta_training=replace(config.meta_training, evaluation_tasks=5),
+        multi_task=replace(config.multi_task, evaluation_tasks=5),
+        panel=replace(config.panel, stops=(16, 32), updates=2, step_sizes=(0.01, 0.1)),
+    )
+
+
+def grid_figure(
+    config: GridFigureConfig,
+    *,
+    panels: Sequence[GridPanelName] = ("left", "right"),
+    is_quick: bool = False,
+    session: Session | None = None,
+) -> FigureResult:
+    """Runs the panels asked for, the right one first. The same configuration gives the same returns on one machine."""
+    began = time.perf_counter()
+    finished: dict[str, Panel] = {}
+    seed = config.first_seed
+    with compile_clock() as clock:
+        family, unseen = families(config.maps)
+        tasks = unseen.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
+        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session)
+        control = meta_train_priors(family, config.multi_task, seed, config.seeds, session, "multi-task DQN")
+        if "right" in panels:
+            levels = mean_levels_on_maps(family, family.sample_many(key_for(seed, Purpose.LEVEL), 20), priors.final)
+            finished["right"] = shaping_panel(
+                "Shaping only: DQN",
+                unseen,
+                tasks,
+                grid_arms(unseen, tasks, priors.final, control.final, levels),
+                config.dqn,
+                seed,
+                updates=config.dqn_updates,
+                every=config.every,
+                session=session,
+                score=SUCCESS,
+            )
+        if "left" in panels:
+            left = adaptation_panel(
+                unseen,
+                priors,
+                tasks,
+                config.panel,
+                config.adaptation,
+                seed,
+                session,
+                tuning_family=family,
+                score=SUCCESS,
+            )
+            finished = {"left": left, **finished}
+        rows = _describe(unseen, tasks, priors, control, seed)
+    return FigureResult(
+        name="fig3" if config.maps == "clean" else "fig5",
+        panels=finished,
+        priors=rows,
+        training={
+            "iterations": priors.iterations,
+            "returns": priors.returns,
+            "chosen": priors.chosen,
+            "multi_task_returns": control.returns,
+        },
+        configuration=asdict(config),
+        quick=is_quick,
+        seconds_compiling=clock.seconds,
+        seconds_running=time.perf_counter() - began - clock.seconds,
+    )
+
+
+def _describe(family: JaxTasks, tasks: Task, priors: Priors, control: Priors, first_seed: int) -> list[dict[str, Any]]:
+    """One row per seed: what its prior, and that of multi-task DQN, know of the unseen maps from the start."""
+    known = truths(family.env, tasks, family.gamma)
+    rows: list[dict[str, Any]] = [{} for _ in priors.chosen]
+    for prefix, of_seeds in (("", priors), ("multi_task_", control)):
+        networks = (jax.tree.map(lambda leaf, s=seed: leaf[s], of_seeds.final) for seed in range(len(rows)))
+        found = [measure_all(family.env, known, tasks, network, family.max_steps) for network in networks]
+        solved = describe_priors(np.stack([np.asarray(one.success) for one in found]), first_seed)
+        for row, one, described in zip(rows, found, solved, strict=True):
+            row["seed"] = described.pop("seed")
+            row |= {f"{prefix}{name}": value for name, value in described.items()}
+            for name in ("rank_correlation", "action_optimality", "discounted_return"):
+                row[f"{prefix}{name}"] = float(np.mean(getattr(one, name)))
+    return rows

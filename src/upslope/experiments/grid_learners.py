@@ -1,0 +1,94 @@
+"""What the settings of DQN are worth on maps, to potentials that nobody learned: the record of how they were chosen."""
+
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import jax.numpy as jnp
+
+from upslope.agents.dqn import DQNConfig, for_maps
+from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.results import SUCCESS
+from upslope.experiments.shaping_panel import shaping_panel
+from upslope.run.compiling import compile_clock
+from upslope.run.machine import hardware, versions
+from upslope.run.session import Session
+from upslope.shaping import Shaping
+from upslope.tasks import grid_games
+from upslope.tasks.grid_potentials import CellPotential, manhattan_potential, optimal_potential
+
+#: No learned potential is among them, so that none is favoured.
+ARMS = ("unshaped", "manhattan", "oracle")
+
+VARIANTS: dict[str, DQNConfig] = {
+    "as set": for_maps(),
+    "step size 5e-4": replace(for_maps(), learning_rate=5e-4),
+    "target rate 0.05": replace(for_maps(), target_rate=0.05),
+    "ε 0.3": replace(for_maps(), epsilon=0.3),
+    "4 steps per update": replace(for_maps(), steps_per_update=4),
+}
+
+
+@dataclass(frozen=True)
+class GridLearnersConfig:
+    """How the settings are compared.
+
+    Attributes:
+        seeds: runs per map; other seeds than any figure's.
+        first_seed: seeds are first_seed, first_seed + 1, …
+        tasks: tuning maps, of the training split.
+        updates: of each learner.
+        every: updates between evaluations.
+    """
+
+    seeds: int = 1
+    first_seed: int = 10_000
+    tasks: int = 12
+    updates: int = 300
+    every: int = 25
+
+
+def quick_grid_learners(config: GridLearnersConfig) -> GridLearnersConfig:
+    """Few maps and updates: shows that all works, says nothing."""
+    return replace(config, tasks=2, updates=10, every=5)
+
+
+def grid_learners(config: GridLearnersConfig, session: Session | None = None) -> dict[str, Any]:
+    """Runs every setting with every arm, and returns the content of results.json."""
+    began = time.perf_counter()
+    family = grid_games(split="train")
+    rows: dict[str, dict[str, Any]] = {}
+    with compile_clock() as clock:
+        maps = family.sample_many(key_for(config.first_seed, Purpose.TUNING_TASKS), config.tasks)
+        shape = (config.seeds, config.tasks)
+        exact = optimal_potential(family, maps).values
+        tables = (jnp.zeros_like(exact), manhattan_potential(family, maps).values, exact)
+        arms = {
+            name: Shaping(CellPotential(jnp.broadcast_to(values, (config.seeds, *values.shape))), jnp.zeros(shape))
+            for name, values in zip(ARMS, tables, strict=True)
+        }
+        for name, settings in VARIANTS.items():
+            panel = shaping_panel(
+                "DQN",
+                family,
+                maps,
+                arms,
+                settings,
+                config.first_seed,
+                updates=config.updates,
+                every=config.every,
+                session=session,
+                stage=f"{name}:",
+                score=SUCCESS,
+            )
+            summaries = {arm: curves.summary for arm, curves in panel.arms.items()}
+            rows[name] = {"arms": summaries, "settings": asdict(settings)}
+    return {
+        "figure": "grid-learners",
+        "variants": rows,
+        "seconds_compiling": clock.seconds,
+        "seconds_running": time.perf_counter() - began - clock.seconds,
+        "versions": versions(),
+        "hardware": hardware(),
+        "configuration": asdict(config),
+    }

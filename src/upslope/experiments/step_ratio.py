@@ -1,0 +1,120 @@
+"""How long Algorithm 2's second step should be, beside its first: on tuning tasks of both families."""
+
+import time
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, NamedTuple
+
+from upslope.agents.adaptation import AdaptationConfig, AdvantageHead, UpdateRule
+from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
+from upslope.experiments.grid_figures import GridFigureConfig
+from upslope.experiments.grid_priors import families
+from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.priors import meta_train_priors
+from upslope.experiments.results import EPISODE_LENGTH, SUCCESS, Panel, Score
+from upslope.recipes import MetaTrainingConfig, for_grid_games
+from upslope.run.compiling import compile_clock
+from upslope.run.machine import hardware, versions
+from upslope.run.session import Session
+from upslope.tasks import JaxTasks, cartpoles, grid_games
+
+
+@dataclass(frozen=True)
+class StepRatioConfig:
+    """What is compared, and where.
+
+    Attributes:
+        ratios: of Eq. 9's step to Eq. 8's.
+        seeds: priors of each family.
+        tasks: tuning tasks for the step sizes, and as many others on which those are used. None is a test task of a
+            figure: poles are drawn by other seeds, maps from the training split.
+        first_seed: other seeds than any figure's.
+        poles: Algorithm 1 on poles; stopped after a fifth of it.
+        maps: Algorithm 1 on maps; stopped half-way.
+    """
+
+    ratios: tuple[float, ...] = (1.0, 0.3, 0.1)
+    seeds: int = 2
+    tasks: int = 20
+    first_seed: int = 10_000
+    poles: MetaTrainingConfig = field(default_factory=MetaTrainingConfig)
+    maps: MetaTrainingConfig = field(default_factory=lambda: for_grid_games(2400))
+
+
+class _Setting(NamedTuple):
+    """One family with all that adaptation there needs."""
+
+    trained_on: JaxTasks
+    tried_on: JaxTasks
+    meta_training: MetaTrainingConfig
+    panel: AdaptationPanel
+    adaptation: AdaptationConfig
+    score: Score
+
+
+def quick_step_ratio(config: StepRatioConfig) -> StepRatioConfig:
+    """Few tasks, hardly trained priors: shows that all works, says nothing."""
+    poles, maps = replace(config.poles, iterations=50), replace(for_grid_games(16), evaluation_tasks=5)
+    return replace(config, seeds=1, tasks=3, poles=poles, maps=maps)
+
+
+def step_ratio(config: StepRatioConfig, session: Session | None = None) -> dict[str, Any]:
+    """Adapts with every ratio, each at its own best step size, and returns the content of results.json."""
+    began = time.perf_counter()
+    rules: dict[str, UpdateRule] = {f"{ratio:g}": AdvantageHead(value_step=ratio) for ratio in config.ratios}
+    figure = GridFigureConfig("obstacles")
+    settings = {
+        "poles": _Setting(
+            cartpoles(),
+            cartpoles(),
+            config.poles,
+            replace(AdaptationPanel(), stops=(config.poles.iterations // 5,)),
+            AdaptationConfig(evaluation_episodes=1),
+            EPISODE_LENGTH,
+        ),
+        "maps": _Setting(
+            families("obstacles")[0],
+            grid_games(split="train"),
+            config.maps,
+            replace(figure.panel, stops=(config.maps.iterations // 2,)),
+            figure.adaptation,
+            SUCCESS,
+        ),
+    }
+    with compile_clock() as clock:
+        rows = {name: _row(_compare(name, setting, config, rules, session)) for name, setting in settings.items()}
+    return {
+        "figure": "step-ratio",
+        "variants": rows,
+        "seconds_compiling": clock.seconds,
+        "seconds_running": time.perf_counter() - began - clock.seconds,
+        "versions": versions(),
+        "hardware": hardware(),
+        "configuration": asdict(config),
+    }
+
+
+def _compare(
+    name: str, setting: _Setting, config: StepRatioConfig, rules: dict[str, UpdateRule], session: Session | None
+) -> Panel:
+    seed = config.first_seed
+    title = f"{name}: meta-training"
+    priors = meta_train_priors(setting.trained_on, setting.meta_training, seed, config.seeds, session, title)
+    tasks = setting.tried_on.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
+    return adaptation_panel(
+        setting.tried_on,
+        priors,
+        tasks,
+        setting.panel,
+        setting.adaptation,
+        seed,
+        session,
+        rules={f"{name}, ratio {ratio}": rule for ratio, rule in rules.items()},
+        score=setting.score,
+    )
+
+
+def _row(panel: Panel) -> dict[str, Any]:
+    return {
+        "arms": {name.rsplit(" ", 1)[-1]: arm.summary for name, arm in panel.arms.items()},
+        "start": next(iter(panel.notes["zero_shot_on_tuning_tasks"].values())),
+    }

@@ -1,0 +1,76 @@
+"""Studies beside the paper's figures: what is run, and the table that sums it up."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from rich.table import Table
+
+from upslope.experiments import grid_learners, learners
+from upslope.experiments.deviations import DeviationsConfig, deviations, quick_deviations
+from upslope.experiments.step_ratio import StepRatioConfig, quick_step_ratio, step_ratio
+from upslope.run.session import Session
+
+
+class Study(NamedTuple):
+    """One study.
+
+    Attributes:
+        config: makes the full form's settings, which have ``seeds``, ``tasks`` and ``first_seed``.
+        quick: the quick form of them.
+        run: gives the content of results.json.
+        table: of that content.
+    """
+
+    config: Callable[[], Any]
+    quick: Callable[[Any], Any]
+    run: Callable[[Any, Session], dict[str, Any]]
+    table: Callable[[dict[str, Any]], Table]
+
+
+def _deviations_table(results: dict[str, Any]) -> Table:
+    table = Table("", "changed", "median", "lowest", "≥ 195", "spread of V", title="Zero-shot return of the priors")
+    for name, row in results["variants"].items():
+        good = f"{row['at_least_195']} of {len(row['zero_shot'])}"
+        numbers = (f"{row['median']:.0f}", f"{row['zero_shot'][0]:.0f}", good, f"{row['value_spread_median']:.2f}")
+        table.add_row(name, row["what"], *numbers)
+    return table
+
+
+def _learners_table(results: dict[str, Any]) -> Table:
+    arms = learners.ARMS
+    table = Table("settings", *arms, "prior: lower quartile at end", title="Mean return over all evaluations")
+    for name, row in results["variants"].items():
+        means = (f"{row['arms'][arm]['mean_over_evaluations']:.0f}" for arm in arms)
+        table.add_row(name, *means, f"{row['arms']['prior']['q1'][-1]:.0f}")
+    return table
+
+
+def _grid_learners_table(results: dict[str, Any]) -> Table:
+    arms = grid_learners.ARMS
+    table = Table("settings", *arms, "mean of the arms", title="Mean success over all evaluations")
+    for name, row in results["variants"].items():
+        means = [row["arms"][arm]["mean_over_evaluations"] for arm in arms]
+        table.add_row(name, *(f"{mean:.3f}" for mean in means), f"{sum(means) / len(means):.3f}")
+    return table
+
+
+def _step_ratio_table(results: dict[str, Any]) -> Table:
+    table = Table("", "ratio", "step size", "mean", "end", "lower quartile at end", title="Algorithm 2 on other tasks")
+    for family, row in results["variants"].items():
+        for ratio, arm in row["arms"].items():
+            ends = (f"{arm[line][-1]:.3g}" for line in ("iqm", "q1"))
+            table.add_row(family, ratio, f"{arm['step_size']:g}", f"{arm['mean_over_evaluations']:.3g}", *ends)
+    return table
+
+
+STUDIES: dict[str, Study] = {
+    "deviations": Study(DeviationsConfig, quick_deviations, deviations, _deviations_table),
+    "learners": Study(learners.LearnersConfig, learners.quick_learners, learners.learners, _learners_table),
+    "grid-learners": Study(
+        grid_learners.GridLearnersConfig,
+        grid_learners.quick_grid_learners,
+        grid_learners.grid_learners,
+        _grid_learners_table,
+    ),
+    "step-ratio": Study(StepRatioConfig, quick_step_ratio, step_ratio, _step_ratio_table),
+}
