@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from upslope.experiments.map_figures import draw_map_figures
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
 from upslope.experiments.results import write_results
+from upslope.experiments.shipped_prior import ShippedPriorConfig, card, quick_shipped_prior, shipped_prior
 from upslope.experiments.theorem_plots import draw_theorems
 from upslope.experiments.theorems import TheoremsConfig, quick_theorems, tables, theorems
 from upslope.run.folder import claimed
@@ -39,7 +41,7 @@ GRID_PRIORS: dict[str, Callable[[], GridPriorsConfig]] = {
     "fig4": partial(grid_priors, "obstacles"),
     "grid-readings": grid_readings,
 }
-EXPERIMENTS = ("fig1", *GRID_PRIORS, "deviations", "learners", "theorems")
+EXPERIMENTS = ("fig1", *GRID_PRIORS, "deviations", "learners", "shipped-prior", "theorems")
 PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
 
 
@@ -58,7 +60,8 @@ def reproduce(
     """Runs an experiment into an empty folder, and sums it up on the console.
 
     Args:
-        experiment: a figure of the paper, or ``deviations``, ``learners``, ``theorems`` or ``grid-readings``.
+        experiment: a figure of the paper, or ``deviations``, ``learners``, ``theorems``, ``grid-readings`` or
+            ``shipped-prior``.
         out: the folder; a new one under ``runs/`` if None.
         is_quick: the quick form.
         seeds: how many; the experiment's own number if None.
@@ -92,6 +95,11 @@ def reproduce(
         proofs = quick_theorems(TheoremsConfig()) if is_quick else TheoremsConfig()
         proofs = replace(proofs, first_seed=first_seed, seeds=seeds or proofs.seeds, tasks=tasks or proofs.tasks)
         _reproduce_theorems(proofs, out, resume, console)
+    elif experiment == "shipped-prior":
+        shipped = quick_shipped_prior(ShippedPriorConfig()) if is_quick else ShippedPriorConfig()
+        shifted = shipped.first_seed + first_seed
+        shipped = replace(shipped, first_seed=shifted, seeds=seeds or shipped.seeds, tasks=tasks or shipped.tasks)
+        _reproduce_shipped_prior(shipped, out, resume, console)
     elif experiment in GRID_PRIORS:
         study_of_priors = GRID_PRIORS[experiment]()
         study_of_priors = quick_grid_priors(study_of_priors) if is_quick else study_of_priors
@@ -151,6 +159,17 @@ def _reproduce_theorems(config: TheoremsConfig, out: Path | None, resume: bool, 
         draw_theorems(results, folder)
     console.print(tables(results), highlight=False, soft_wrap=True)
     console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold]; the picture is {folder / 'figure.png'}.")
+
+
+def _reproduce_shipped_prior(config: ShippedPriorConfig, out: Path | None, resume: bool, console: Console) -> None:
+    with claimed(out, "shipped-prior", asdict(config), resume=resume) as folder:
+        prior, results = shipped_prior(config, session_in(folder, resume=resume, final_states=False))
+        prior.save(folder / "cartpole.safetensors", overwrite=resume)
+        results["sha256"] = sha256((folder / "cartpole.safetensors").read_bytes()).hexdigest()
+        write_atomically(folder / "cartpole.json", (json.dumps(results, indent=1) + "\n").encode())
+        write_atomically(folder / "cartpole.md", card(prior, results).encode())
+    console.print(card(prior, results), highlight=False, soft_wrap=True)
+    console.print(f"The prior, its card and its numbers are in [bold]{folder}[/bold].")
 
 
 def _reproduce_grid_priors(
