@@ -29,8 +29,8 @@ class Reproduce:
     """Reproduce a figure of the paper: the main job."""
 
     figure: Positional[str]
-    """fig1; deviations (what each difference from the paper is worth); learners (what their settings are worth); or
-    theorems (the paper's, checked on thousands of maps)."""
+    """fig1; deviations (what each difference from the paper is worth); learners (what their settings are worth);
+    shipped-prior (the prior of the package, with its card); or theorems (the paper's, checked on thousands of maps)."""
     out: Path | None = None
     """Folder for the results; it must be empty. A new one under runs/ by default."""
     quick: bool = False
