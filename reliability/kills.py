@@ -28,33 +28,45 @@ def uninterrupted(kind: str, folder: Path) -> Ending:
 
 
 def at_random_moments(folder: Path, whole_run: Callable[[str], Ending], count: int, seed: int) -> dict[str, Any]:
-    """Kills ``count`` times; each killed run goes on, is killed again or ends."""
+    """Kills ``count`` times; each killed run goes on, is killed again or ends.
+
+    A kill counts as one after progress if the run had a newer checkpoint by then than when it was started.
+    """
     wholes = {kind: whole_run(kind) for kind in KINDS}
     share = [count // len(KINDS) + (index < count % len(KINDS)) for index in range(len(KINDS))]
 
-    def chain(index: int) -> tuple[int, int]:
+    def chain(index: int) -> tuple[int, int, int]:
         kind, generator = KINDS[index], random.Random(seed * 1000 + index)
-        whole, kills, ended, number = wholes[kind], 0, 0, 0
+        whole, kills, progressed, ended, number = wholes[kind], 0, 0, 0, 0
         while kills < share[index]:
             run = folder / f"{kind}-{number}"
-            ending = resume(kind, run, kill_after=generator.uniform(0.1, 0.8) * whole.seconds)
+            before = newest_checkpoint(run)
+            # Half of a run is start and loading of programs, where there is little to lose.
+            ending = resume(kind, run, kill_after=generator.uniform(0.3, 1.2) * whole.seconds)
             if ending.code == 0:
                 require(ending.digest == whole.digest, f"{kind} in {run} ended elsewhere after {kills} kills")
                 ended, number = ended + 1, number + 1
             else:
                 require(ending.code == -9, f"{kind} in {run} ended with {ending.code}: {ending.errors}")
                 kills += 1
+                progressed += newest_checkpoint(run) != before
         ending = resume(kind, folder / f"{kind}-{number}")
         require(ending.digest == whole.digest, f"{kind} did not come to the same end: {ending.errors}")
-        return kills, ended + 1
+        return kills, progressed, ended + 1
 
     with ThreadPoolExecutor(2) as pool:
         done = list(pool.map(chain, range(len(KINDS))))
     return {
-        "kills": sum(kills for kills, _ in done),
-        "runs_resumed_to_the_same_sha256": sum(ended for _, ended in done),
+        "kills": sum(kills for kills, _, _ in done),
+        "of_them_after_progress": sum(progressed for _, progressed, _ in done),
+        "runs_resumed_to_the_same_sha256": sum(ended for _, _, ended in done),
         "kinds": list(KINDS),
     }
+
+
+def newest_checkpoint(run: Path) -> str | None:
+    """The name of a run's newest checkpoint, which tells its update."""
+    return max((path.name for path in (run / "checkpoints").rglob("*.safetensors")), default=None)
 
 
 def inside_saves(folder: Path, whole: Ending, times: int) -> dict[str, Any]:

@@ -53,17 +53,17 @@ class Worker:
 
 
 def learn(kind: str, session: Session) -> None:
-    """Two to four seconds of learning once it is compiled."""
+    """Some seconds of learning once it is compiled."""
     task = POLES.sample(jax.random.key(0))
     if kind == "meta-training":
-        meta_train(POLES, config=MetaTrainingConfig(iterations=150, snapshot_every=15), session=session)
+        meta_train(POLES, config=MetaTrainingConfig(iterations=400, snapshot_every=40), session=session)
     elif kind == "adaptation":
         network = DuelingQ(jax.random.key(1), 4, 2)
-        adapt(Prior(network, trained_on(POLES, network, 0, {})), POLES, task, updates=40, session=session)
+        adapt(Prior(network, trained_on(POLES, network, 0, {})), POLES, task, updates=400, session=session)
     elif kind == "dqn":
-        train(POLES, task, updates=6000, every=500, session=session)
+        train(POLES, task, updates=15000, every=1000, session=session)
     else:
-        train(FORCES, FORCES.sample(jax.random.key(0)), updates=4000, every=500, session=session)
+        train(FORCES, FORCES.sample(jax.random.key(0)), updates=10000, every=500, session=session)
 
 
 def digest(folder: Path) -> str:

@@ -50,7 +50,10 @@ class AbstractPolicy(eqx.Module):
             obs: of any step: what counts is the shape.
         """
         shape = jax.eval_shape(jax.vmap(self.network), obs).shape
-        act = lambda noise, obs: self.choose(noise, jax.vmap(self.network)(obs), jnp)  # noqa: E731
+
+        def act(noise: Any, obs: Float[Array, "n *obs"]) -> Any:
+            return self.choose(noise, jax.vmap(self.network)(obs), jnp)
+
         return _noises_of_steps(self, keys, shape), act
 
     def on_host(self, keys: Keys, shape: tuple[int, ...]) -> Callable[[int, np.ndarray], np.ndarray] | None:
