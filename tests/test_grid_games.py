@@ -7,9 +7,10 @@ import pytest
 from support.plain_grids import draw
 from upslope import train
 from upslope.agents.dqn import DQNConfig
-from upslope.commands import Poles
 from upslope.envs.grid import POSITION
 from upslope.errors import UpslopeError
+from upslope.family_options import Tasks, draw_task, recipe_for
+from upslope.recipes import MetaTrainingConfig, for_grid_games
 from upslope.tasks import FAMILIES, clean_maps, grid_games, obstacle_maps
 
 
@@ -112,9 +113,23 @@ class TestCollecting:
         assert 0 < returns.sum() < 50
 
 
-def test_the_command_line_says_that_it_knows_no_grids_yet():
-    with pytest.raises(UpslopeError, match="cartpole only"):
-        Poles().family("grid")
+class TestOnTheCommandLine:
+    def test_every_family_has_its_name(self):
+        assert Tasks().family("obstacles") == obstacle_maps("test")
+        assert Tasks().family("clean") == clean_maps("test", held_out="goals")
+        assert Tasks(size=(5, 6), traps=0.1).family("grid").observation_shape == (5, 6, 5)
+        assert Tasks(gamma=0.8).family("grid", split="train") == grid_games(gamma=0.8, split="train")
+        assert Tasks().family("cartpole").gamma == 0.98
+
+    def test_maps_have_neither_forces_nor_poles(self):
+        with pytest.raises(UpslopeError, match="use dqn"):
+            Tasks().family("grid", continuous=True)
+        with pytest.raises(UpslopeError, match="no pole"):
+            draw_task(Tasks().family("grid"), 1.0, 0)
+
+    def test_recipes(self):
+        assert recipe_for("cartpole") == MetaTrainingConfig()
+        assert recipe_for("grid") == recipe_for("clean") == recipe_for("obstacles") == for_grid_games()
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from upslope.agents import adaptation, dqn
 from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
@@ -98,7 +99,12 @@ def adapt(
     """
     prior.check(family, acting=True)
     learner = Adaptation(
-        family, task, prior.network, jnp.asarray(step_size), rule or AdvantageHead(), config or AdaptationConfig()
+        family,
+        task,
+        prior.network,
+        jnp.asarray(step_size),
+        rule or AdvantageHead(),
+        config or (adaptation.for_maps() if _on_maps(family) else AdaptationConfig()),
     )
     outcome = run(
         broadcast(learner, (1,)),
@@ -164,7 +170,12 @@ def agent(
         return DDPG(family, task, shaping, config or DDPGConfig())
     if isinstance(config, DDPGConfig):
         raise UpslopeError("DDPG needs continuous actions, but these tasks have discrete ones: use DQN.")
-    return DQN(family, task, shaping, config or DQNConfig())
+    return DQN(family, task, shaping, config or (dqn.for_maps() if _on_maps(family) else DQNConfig()))
+
+
+def _on_maps(family: AbstractFamily) -> bool:
+    """Whether observations are maps, for which networks are convolutional and learners have settings of their own."""
+    return len(family.observation_shape) == 3
 
 
 def _shaping(family: AbstractFamily, potential: Potential | Prior | None) -> Shaping | None:

@@ -1,10 +1,9 @@
 """What each command of the command line does: typed settings with a verb."""
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import jax
 import numpy as np
 from rich.console import Console
 from rich.table import Table
@@ -14,12 +13,12 @@ from upslope.api import adapt, meta_train, train
 from upslope.errors import UpslopeError
 from upslope.experiments.adaptation_panel import RULES
 from upslope.experiments.catalogue import reproduce
+from upslope.experiments.everything import reproduce_all
+from upslope.family_options import Tasks, draw_task
 from upslope.prior import Prior
 from upslope.recipes import MetaTrainingConfig, as_printed
 from upslope.run.folder import claimed
 from upslope.run.session import session_in
-from upslope.tasks import FAMILIES, JaxTasks, cartpoles
-from upslope.types import Task
 
 AGENTS = {"dqn": False, "ddpg": True}
 
@@ -29,12 +28,14 @@ class Reproduce:
     """Reproduce a figure of the paper: the main job."""
 
     figure: Positional[str]
-    """fig1; deviations (what each difference from the paper is worth); learners (what their settings are worth);
-    shipped-prior (the prior of the package, with its card); or theorems (the paper's, checked on thousands of maps)."""
+    """fig1 to fig5; theorems (the paper's, checked on thousands of maps); all of these; or a study: deviations (what
+    each difference from the paper is worth), learners and grid-learners (what their settings are worth), grid-readings
+    (what Algorithm 1's are worth on maps), step-ratio (how long Algorithm 2's second step should be); or shipped-prior
+    (the prior of the package, with its card)."""
     out: Path | None = None
     """Folder for the results; it must be empty. A new one under runs/ by default."""
     quick: bool = False
-    """About a minute: enough to see that all works, too small to say anything about the paper."""
+    """A minute or two: enough to see that all works, too small to say anything about the paper."""
     seeds: int | None = None
     """How many seeds; 5 by default."""
     tasks: int | None = None
@@ -49,6 +50,14 @@ class Reproduce:
     """Go on with the run in --out, which was stopped."""
 
     def __call__(self) -> None:
+        if self.figure == "all":
+            if (self.seeds, self.tasks, self.iterations) != (None, None, None) or len(self.panels) < 3:
+                raise UpslopeError(
+                    "All figures come with their own numbers of seeds, tasks and iterations, and all panels: "
+                    "reproduce one figure to change those."
+                )
+            reproduce_all(out=self.out, is_quick=self.quick, first_seed=self.first_seed, resume=self.resume)
+            return
         reproduce(
             self.figure,
             out=self.out,
@@ -63,38 +72,14 @@ class Reproduce:
 
 
 @dataclass(frozen=True)
-class Poles:
-    """The family of CartPoles."""
-
-    length: tuple[float, float] = (0.25, 5.0)
-    """Shortest and longest pole, in metres."""
-    half_length: bool = False
-    """The lengths are of half the pole, as Gymnasium counts, not of the whole."""
-    gamma: float = 0.98
-    """The discount of the tasks and of the potential."""
-    track_limit: float = 2.4
-    """Where the track ends, in metres from its middle."""
-
-    def family(self, name: str, *, continuous: bool = False) -> JaxTasks:
-        if name not in FAMILIES:
-            raise UpslopeError(f"There is no family {name!r}: choose one of {', '.join(FAMILIES)}.")
-        if FAMILIES[name] is not cartpoles:
-            raise UpslopeError(f"This command knows the family cartpole only; use {name} from Python so far.")
-        return cartpoles(
-            self.length,
-            continuous=continuous,
-            half_length=self.half_length,
-            gamma=self.gamma,
-            track_limit=self.track_limit,
-        )
-
-
-@dataclass(frozen=True)
 class MetaTrain:
-    """Algorithm 1: learn a prior over a family of tasks, and save it."""
+    """Algorithm 1: learn a prior over a family of tasks, and save it.
+
+    The defaults are the family's own recipe; those told here are of CartPoles.
+    """
 
     family: Positional[str]
-    """Which family: cartpole."""
+    """Which family: cartpole, obstacles or clean (the paper's maps), or grid (any others)."""
     out: Path | None = None
     """Folder for the prior and its logs; it must be empty."""
     seed: int = 0
@@ -103,11 +88,11 @@ class MetaTrain:
     """Algorithm 1 to the letter, which collapses; all settings below are ignored then."""
     resume: bool = False
     """Go on with the run in --out, which was stopped."""
-    poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
+    tasks: Annotated[Tasks, arg(name="")] = field(default_factory=Tasks)
     config: Annotated[MetaTrainingConfig, arg(name="")] = field(default_factory=MetaTrainingConfig)
 
     def __call__(self) -> None:
-        family = self.poles.family(self.family)
+        family = self.tasks.family(self.family, split="train")
         config = as_printed() if self.printed else self.config
         with claimed(self.out, "prior", _settings(self), resume=self.resume) as folder:
             session = session_in(folder, resume=self.resume)
@@ -129,7 +114,7 @@ class Train:
     prior: Path | None = None
     """The prior whose V head shapes the rewards; no shaping without one."""
     family: str = "cartpole"
-    """Which family the task comes from."""
+    """Which family the task comes from: cartpole, obstacles, clean or grid; of maps an unseen one."""
     pole: float | None = None
     """Length of the pole in metres; drawn from the family by default."""
     updates: int = 1000
@@ -142,16 +127,16 @@ class Train:
     """Folder for the logs; it must be empty."""
     resume: bool = False
     """Go on with the run in --out, which was stopped."""
-    poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
+    tasks: Annotated[Tasks, arg(name="")] = field(default_factory=Tasks)
 
     def __call__(self) -> None:
         if self.agent not in AGENTS:
             raise UpslopeError(f"There is no agent {self.agent!r}: choose one of {', '.join(AGENTS)}.")
-        family = self.poles.family(self.family, continuous=AGENTS[self.agent])
+        family = self.tasks.family(self.family, continuous=AGENTS[self.agent])
         prior = None if self.prior is None else Prior.load(self.prior)
         if prior is not None:
             prior.check(family)
-        task = _task(family, self.pole, self.seed)
+        task, called = draw_task(family, self.pole, self.seed)
         _check_counts(updates=self.updates, every=self.every)
         with claimed(self.out, self.agent, _settings(self), resume=self.resume) as folder:
             outcome = train(
@@ -165,7 +150,7 @@ class Train:
             )
         shaped = "no shaping" if prior is None else f"shaped by {self.prior}"
         _print_returns(
-            f"{self.agent} on a pole of {float(task.length):.2f} m, {shaped}",
+            f"{self.agent} on {called}, {shaped}",
             outcome.updates,
             outcome.reports["return"][0],
         )
@@ -178,7 +163,7 @@ class Adapt:
     prior: Positional[Path]
     """The prior to start from."""
     family: str = "cartpole"
-    """Which family the task comes from."""
+    """Which family the task comes from: cartpole, obstacles, clean or grid; of maps an unseen one."""
     pole: float | None = None
     """Length of the pole in metres; drawn from the family by default."""
     rule: str = "algorithm2"
@@ -193,15 +178,15 @@ class Adapt:
     """Folder for the posterior and the logs; it must be empty."""
     resume: bool = False
     """Go on with the run in --out, which was stopped."""
-    poles: Annotated[Poles, arg(name="")] = field(default_factory=Poles)
+    tasks: Annotated[Tasks, arg(name="")] = field(default_factory=Tasks)
 
     def __call__(self) -> None:
         if self.rule not in RULES:
             raise UpslopeError(f"There is no rule {self.rule!r}: choose one of {', '.join(RULES)}.")
         prior = Prior.load(self.prior)
-        family = self.poles.family(self.family)
+        family = self.tasks.family(self.family)
         prior.check(family, acting=True)
-        task = _task(family, self.pole, self.seed)
+        task, called = draw_task(family, self.pole, self.seed)
         _check_counts(updates=self.updates)
         with claimed(self.out, "adapted", _settings(self), resume=self.resume) as folder:
             posterior, returns = adapt(
@@ -215,7 +200,7 @@ class Adapt:
                 session=session_in(folder, resume=self.resume),
             )
             posterior.save(folder / "posterior.safetensors", overwrite=self.resume)
-        title = f"{self.rule} on a pole of {float(task.length):.2f} m, saved as {folder / 'posterior.safetensors'}"
+        title = f"{self.rule} on {called}, saved as {folder / 'posterior.safetensors'}"
         _print_returns(title, np.arange(len(returns)), returns)
 
 
@@ -234,16 +219,6 @@ def _check_counts(**counts: int) -> None:
     for name, count in counts.items():
         if count < 1:
             raise UpslopeError(f"{count} {name} can't be run: give --{name} at least 1.")
-
-
-def _task(family: JaxTasks, pole: float | None, seed: int) -> Task:
-    """A CartPole with this pole, or one drawn by the seed."""
-    task = family.sample(jax.random.fold_in(jax.random.key(seed), 1))
-    if pole is None:
-        return task
-    if not (np.isfinite(pole) and pole > 0):
-        raise UpslopeError(f"A pole of {pole} m can't be balanced: give a positive length.")
-    return replace(task, length=jax.numpy.asarray(pole, jax.numpy.float32))
 
 
 def _print_returns(title: str, updates: np.ndarray, returns: np.ndarray) -> None:

@@ -88,6 +88,11 @@ class AdaptationConfig:
     evaluation_episodes: int = 3
 
 
+def for_maps() -> AdaptationConfig:
+    """Adaptation with the convolutional network on grid games: one longest episode before each update."""
+    return AdaptationConfig(batch_size=32, replay_capacity=1000, steps_per_update=50)
+
+
 class AdaptationState(eqx.Module):
     """All that changes while adapting.
 

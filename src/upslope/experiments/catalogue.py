@@ -88,7 +88,7 @@ def reproduce(
             no such run), or counts below one.
     """
     if experiment not in EXPERIMENTS:
-        raise UpslopeError(f"There is no figure {experiment!r}: choose one of {', '.join(EXPERIMENTS)}.")
+        raise UpslopeError(f"There is no figure {experiment!r}: choose one of {', '.join(EXPERIMENTS)} or all.")
     if not panels or not set(panels) <= set(PANELS):
         raise UpslopeError(f"There are no panels {', '.join(panels)!r}: choose among {', '.join(PANELS)}.")
     if iterations is not None and experiment not in (*GRID_PRIORS, *GRID_FIGURES):

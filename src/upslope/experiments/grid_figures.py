@@ -8,8 +8,9 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
+from upslope.agents import adaptation, dqn
 from upslope.agents.adaptation import AdaptationConfig
-from upslope.agents.dqn import DQNConfig, for_maps
+from upslope.agents.dqn import DQNConfig
 from upslope.errors import UpslopeError
 from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
 from upslope.experiments.grid_arms import grid_arms, mean_levels_on_maps
@@ -59,10 +60,8 @@ class GridFigureConfig:
             stops=(1500, 3000, 6000), updates=20, step_sizes=(0.003, 0.01, 0.03, 0.1), start=0.5, average="mean"
         )
     )
-    adaptation: AdaptationConfig = field(
-        default_factory=lambda: AdaptationConfig(batch_size=32, replay_capacity=1000, steps_per_update=50)
-    )
-    dqn: DQNConfig = field(default_factory=for_maps)
+    adaptation: AdaptationConfig = field(default_factory=adaptation.for_maps)
+    dqn: DQNConfig = field(default_factory=dqn.for_maps)
 
     def __post_init__(self) -> None:
         if self.seeds < 1 or self.tasks < 1:

@@ -43,8 +43,8 @@ class GridLearnersConfig:
 
     seeds: int = 1
     first_seed: int = 10_000
-    tasks: int = 12
-    updates: int = 300
+    tasks: int = 10
+    updates: int = 200
     every: int = 25
 
 

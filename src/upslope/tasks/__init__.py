@@ -7,7 +7,7 @@ from upslope.tasks.gymnasium_tasks import GymnasiumTasks
 from upslope.tasks.jax_tasks import JaxTasks
 
 #: The families that the command line knows by name.
-FAMILIES = {"cartpole": cartpoles, "grid": grid_games}
+FAMILIES = {"cartpole": cartpoles, "obstacles": obstacle_maps, "clean": clean_maps, "grid": grid_games}
 
 __all__ = [
     "FAMILIES",

@@ -1,0 +1,100 @@
+"""Every figure of the paper and its theorems, one after the other, and one page that leads to all of them."""
+
+import html
+import io
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from upslope.experiments.catalogue import reproduce
+from upslope.run.folder import claimed
+from upslope.storage import write_atomically
+
+#: What is reproduced, and what its section of the page is called.
+CHAPTERS: dict[str, str] = {
+    "theorems": "The theorems, on thousands of maps",
+    "fig1": "Figure 1: CartPoles",
+    "fig2": "Figure 2: learned V on clean maps",
+    "fig3": "Figure 3: adaptation and shaping on clean maps",
+    "fig4": "Figure 4: learned V on maps with obstacles",
+    "fig5": "Figure 5: adaptation and shaping on maps with obstacles",
+}
+
+#: What is shown of a chapter and linked from it, where it is there.
+PICTURES = ("figure.png", "map.png", "sheet.png")
+FILES = ("report.html", "tables.md", "results.json", "returns.npz")
+
+
+def reproduce_all(
+    *,
+    out: Path | None = None,
+    is_quick: bool = False,
+    first_seed: int = 0,
+    resume: bool = False,
+    console: Console | None = None,
+) -> None:
+    """Reproduces each chapter into a folder of its own, and writes report.html beside them after each.
+
+    Args:
+        out: the folder; a new one under ``runs/`` if None.
+        is_quick: the quick forms.
+        first_seed: other seeds and other test tasks.
+        resume: go on with the run in ``out``, started with the same settings.
+        console: where the summaries go.
+
+    Raises:
+        UpslopeError: what `reproduce` raises.
+    """
+    console = console or Console()
+    settings: dict[str, Any] = {"is_quick": is_quick, "first_seed": first_seed}
+    with claimed(out, "all", settings, resume=resume) as folder:
+        told: dict[str, tuple[str, float]] = {}
+        for name, title in CHAPTERS.items():
+            console.rule(title)
+            record = Console(record=True, width=110, file=io.StringIO())
+            began = time.perf_counter()
+            chapter = folder / name
+            begun = resume and (chapter / "run.json").is_file()
+            reproduce(name, out=chapter, is_quick=is_quick, first_seed=first_seed, resume=begun, console=record)
+            told[name] = record.export_text(), time.perf_counter() - began
+            console.print(told[name][0], highlight=False)
+            write_atomically(folder / "report.html", _page(folder, told, is_quick).encode())
+    console.print(f"[bold]{folder / 'report.html'}[/bold] leads to it all.")
+
+
+def _page(folder: Path, told: dict[str, tuple[str, float]], is_quick: bool) -> str:
+    quick = "<p class='quick'>These are the quick forms: too small to say anything about the paper.</p>"
+    sections = "\n".join(_section(folder, name, *summary) for name, summary in told.items())
+    contents = "\n".join(f"<li><a href='#{name}'>{html.escape(CHAPTERS[name])}</a></li>" for name in told)
+    return _PAGE.format(quick=quick if is_quick else "", contents=contents, sections=sections)
+
+
+def _section(folder: Path, name: str, summary: str, seconds: float) -> str:
+    def there(names: tuple[str, ...]) -> list[str]:
+        return [f"{name}/{file}" for file in names if (folder / name / file).is_file()]
+
+    pictures = "\n".join(f"<a href='{path}'><img alt='{path}' src='{path}'></a>" for path in there(PICTURES))
+    links = " · ".join(f"<a href='{path}'>{path}</a>" for path in there(FILES))
+    return (
+        f"<h2 id='{name}'>{html.escape(CHAPTERS[name])}</h2>\n<p>{links} · {seconds:.0f} s</p>\n"
+        f"{pictures}\n<pre>{html.escape(summary)}</pre>"
+    )
+
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>Reward Shaping via Meta-Learning, reproduced</title>
+<style>
+ body {{ font: 16px/1.5 Georgia, serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222; }}
+ h1, h2 {{ font-weight: normal; }} h2 {{ margin-top: 2.5rem; }} img {{ max-width: 100%; }}
+ pre {{ font-size: 13px; line-height: 1.3; overflow-x: auto; }} .quick {{ color: #b2182b; font-weight: bold; }}
+</style></head><body>
+<h1>Reward Shaping via Meta-Learning, reproduced</h1>
+{quick}
+<ul>
+{contents}
+</ul>
+{sections}
+</body></html>
+"""

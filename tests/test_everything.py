@@ -1,0 +1,76 @@
+"""`upslope reproduce all`: what is run, in which order, and the page that leads to it."""
+
+import json
+
+import pytest
+from rich.console import Console
+
+from upslope.errors import UpslopeError
+from upslope.experiments import everything
+from upslope.experiments.catalogue import EXPERIMENTS
+
+
+class Runs:
+    """Stands in for `reproduce`: remembers how it was called, and writes what a chapter writes."""
+
+    def __init__(self, fails_at=None):
+        self.calls, self.fails_at = [], fails_at
+
+    def __call__(self, name, *, out, is_quick, first_seed, resume, console):
+        self.calls.append((name, out.name, is_quick, first_seed, resume))
+        out.mkdir(exist_ok=True)
+        (out / "run.json").write_text("{}")
+        if name == self.fails_at:
+            raise UpslopeError("stopped")
+        (out / "results.json").write_text("{}")
+        (out / "figure.png").write_bytes(b"")
+        console.print(f"{name} <found> 42")
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    runs = Runs()
+    monkeypatch.setattr(everything, "reproduce", runs)
+    return runs
+
+
+def everything_in(folder, **settings):
+    everything.reproduce_all(out=folder, console=Console(quiet=True), **settings)
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_every_figure_and_the_theorems_are_run_each_in_its_folder(runs, tmp_path):
+    everything_in(tmp_path / "all", is_quick=True, first_seed=3)
+    assert [call[0] for call in runs.calls] == [call[1] for call in runs.calls]
+    assert {call[0] for call in runs.calls} == {"fig1", "fig2", "fig3", "fig4", "fig5", "theorems"} <= set(EXPERIMENTS)
+    assert all(call[2:] == (True, 3, False) for call in runs.calls)
+
+
+def test_the_page_links_what_is_there_and_quotes_what_was_said(runs, tmp_path):
+    page = everything_in(tmp_path / "all")
+    for name in everything.CHAPTERS:
+        assert f"href='{name}/results.json'" in page
+        assert f"src='{name}/figure.png'" in page
+        assert f"{name} &lt;found&gt; 42" in page
+    assert "returns.npz" not in page
+    assert "quick forms" not in page
+    assert "quick forms" in everything_in(tmp_path / "quick", is_quick=True)
+
+
+def test_it_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
+    stopped, again = Runs(fails_at="fig2"), Runs()
+    monkeypatch.setattr(everything, "reproduce", stopped)
+    with pytest.raises(UpslopeError, match="stopped"):
+        everything_in(tmp_path / "all")
+    assert "fig1" in (tmp_path / "all" / "report.html").read_text(encoding="utf-8")
+    monkeypatch.setattr(everything, "reproduce", again)
+    everything_in(tmp_path / "all", resume=True)
+    begun = {name: resume for name, _, _, _, resume in again.calls}
+    assert begun == {name: name in ("theorems", "fig1", "fig2") for name in everything.CHAPTERS}
+
+
+def test_other_settings_are_another_run(runs, tmp_path):
+    everything_in(tmp_path / "all")
+    with pytest.raises(UpslopeError, match="first_seed"):
+        everything_in(tmp_path / "all", resume=True, first_seed=1)
+    assert json.loads((tmp_path / "all" / "run.json").read_text())["kind"] == "all"
