@@ -5,7 +5,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from rich.table import Table
 
 from reliability import audit, disk, kills, mutations, race, stops
 from reliability.processes import BrokenPromiseError
+from reliability.worker import HOST_KINDS, KINDS
 from upslope.run.compiling import set_up_devices
 from upslope.run.machine import hardware, versions
 
@@ -64,7 +65,12 @@ def main() -> None:
         # Forking comes first, while this process has no threads of JAX's.
         check("simultaneous starts", lambda folder: race.simultaneous(folder, 100))
         set_up_devices()
-        check("SIGKILL at random moments", lambda folder: kills.at_random_moments(folder, whole, kills_of_runs, seed))
+
+        def killed(kinds: Sequence[str], count: int) -> Callable[[Path], dict[str, Any]]:
+            return lambda folder: kills.at_random_moments(folder, whole, kinds, count, seed)
+
+        check("SIGKILL at random moments", killed(KINDS, kills_of_runs))
+        check("SIGKILL of runs on the host", killed(HOST_KINDS, kills_of_runs // 10))
         check("SIGKILL inside saves", lambda folder: kills.inside_saves(folder, whole("dqn"), kills_per_point))
         check("SIGTERM in each phase", lambda folder: stops.in_each_phase(folder, whole("dqn"), stops_per_phase, seed))
         check("SIGTERM amid a figure", lambda folder: stops.amid_a_figure(folder, stops_of_a_figure, seed))

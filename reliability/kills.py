@@ -1,13 +1,12 @@
 """SIGKILL at random moments, and at every named point inside a save: what resumes ends where it would have ended."""
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from reliability.processes import Ending, require, resume, work
-from reliability.worker import KINDS
 
 MILESTONES = (
     "before the temporary file",
@@ -27,16 +26,18 @@ def uninterrupted(kind: str, folder: Path) -> Ending:
     return ending
 
 
-def at_random_moments(folder: Path, whole_run: Callable[[str], Ending], count: int, seed: int) -> dict[str, Any]:
+def at_random_moments(
+    folder: Path, whole_run: Callable[[str], Ending], kinds: Sequence[str], count: int, seed: int
+) -> dict[str, Any]:
     """Kills ``count`` times; each killed run goes on, is killed again or ends.
 
     A kill counts as one after progress if the run had a newer checkpoint by then than when it was started.
     """
-    wholes = {kind: whole_run(kind) for kind in KINDS}
-    share = [count // len(KINDS) + (index < count % len(KINDS)) for index in range(len(KINDS))]
+    wholes = {kind: whole_run(kind) for kind in kinds}
+    share = [count // len(kinds) + (index < count % len(kinds)) for index in range(len(kinds))]
 
     def chain(index: int) -> tuple[int, int, int]:
-        kind, generator = KINDS[index], random.Random(seed * 1000 + index)
+        kind, generator = kinds[index], random.Random(seed * 1000 + index)
         whole, kills, progressed, ended, number = wholes[kind], 0, 0, 0, 0
         while kills < share[index]:
             run = folder / f"{kind}-{number}"
@@ -55,12 +56,12 @@ def at_random_moments(folder: Path, whole_run: Callable[[str], Ending], count: i
         return kills, progressed, ended + 1
 
     with ThreadPoolExecutor(2) as pool:
-        done = list(pool.map(chain, range(len(KINDS))))
+        done = list(pool.map(chain, range(len(kinds))))
     return {
         "kills": sum(kills for kills, _, _ in done),
         "of_them_after_progress": sum(progressed for _, progressed, _ in done),
-        "runs_resumed_to_the_same_sha256": sum(ended for _, _, ended in done),
-        "kinds": list(KINDS),
+        "runs_resumed_to_the_end": sum(ended for _, _, ended in done),
+        "kinds": list(kinds),
     }
 
 
