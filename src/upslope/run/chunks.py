@@ -14,6 +14,9 @@ from upslope.types import Key, Keys, Metrics
 
 _AXIS = "learners"
 
+#: Bounds of `at_a_time`.
+_FEWEST, _MOST = 8, 16
+
 
 def mesh() -> Mesh:
     """All local devices in a row."""
@@ -124,14 +127,44 @@ def _axes(inputs: Any) -> Any:
 
 
 def _mapped(function: Any, devices: Mesh, *inputs: Any) -> Any:
-    """The function over the learners' axis of every input, on each device for its own share of them."""
+    """A function of stacks of learners ``[learners, ...]``, on each device for its own share of them."""
     specs = jax.tree.map(lambda leaf: P(_AXIS) if jnp.ndim(leaf) else P(), inputs)
-    over_learners = jax.vmap(function, in_axes=_axes(inputs))
-    return jax.shard_map(over_learners, mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False)(*inputs)
+    return jax.shard_map(function, mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False)(*inputs)
+
+
+def _in_blocks(learners: AbstractLearner, states: Any, totals: Metrics, *settings: Array) -> Chunk:
+    """A device's share of the learners, `at_a_time` of them after the others."""
+    count = jax.tree.leaves(states)[0].shape[0]
+    size = at_a_time(count)
+    advance = jax.vmap(_advance_one, in_axes=(_axes(learners), 0, 0, None, None, None))
+    if size == count:
+        return advance(learners, states, totals, *settings)
+
+    def one_block(block: Int[Array, ""], chunk: Chunk) -> Chunk:
+        here = lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, block * size, size)  # noqa: E731
+        there = lambda old, new: jax.lax.dynamic_update_slice_in_dim(old, new, block * size, 0)  # noqa: E731
+        own = jax.tree.map(lambda leaf: here(leaf) if jnp.ndim(leaf) else leaf, learners)
+        # In place: no second copy of all the replays is made.
+        return jax.tree.map(there, chunk, advance(own, *jax.tree.map(here, (chunk.states, chunk.totals)), *settings))
+
+    shapes = jax.eval_shape(advance, learners, states, totals, *settings)
+    start = Chunk(states, totals, *_zeros((shapes.broken, shapes.report)))
+    return jax.lax.fori_loop(0, count // size, one_block, start)
+
+
+def at_a_time(count: int) -> int:
+    """How many of a device's learners take all steps of a chunk side by side; it divides their number.
+
+    On CPUs what some ten learners compute in a step stays in a core's own cache. With a hundred it does not, and the
+    cores get in each other's way. With fewer, starting the kernels is what costs. Other devices take all at once.
+    """
+    if jax.default_backend() != "cpu":
+        return count
+    return max((size for size in range(_FEWEST, _MOST + 1) if count % size == 0), default=count)
 
 
 def _start_all(learners: AbstractLearner, keys: Keys, devices: Mesh) -> tuple[Any, Metrics]:
-    return _mapped(_start_one, devices, learners, keys)
+    return _mapped(jax.vmap(_start_one, in_axes=(_axes(learners), 0)), devices, learners, keys)
 
 
 def _advance_all(
@@ -143,7 +176,7 @@ def _advance_all(
     report: Bool[Array, ""],
     devices: Mesh,
 ) -> Chunk:
-    return _mapped(_advance_one, devices, learners, states, totals, steps, fresh, report)
+    return _mapped(_in_blocks, devices, learners, states, totals, steps, fresh, report)
 
 
 # What runs once is compiled as fast as can be; what runs for long, well.
