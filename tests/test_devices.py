@@ -23,13 +23,13 @@ from upslope.run.loop import broadcast, run
 from upslope.tasks import cartpoles
 
 family = cartpoles(max_steps=20)
-keys = jax.random.split(jax.random.key(0), 6)
+keys = jax.random.split(jax.random.key(0), 7)
 config = MetaTrainingConfig(
     iterations=4, tasks=2, steps_per_task=10, batch_size=8, outer_updates=2, evaluation_tasks=1, evaluation_episodes=1
 )
-meta = run(broadcast(MetaTraining(family, config), (6,)), keys, updates=4, every=2)
+meta = run(broadcast(MetaTraining(family, config), (7,)), keys, updates=4, every=2)
 small = DQNConfig(batch_size=8, warmup_steps=8, replay_capacity=32, evaluation_episodes=1)
-tasks = family.sample_many(jax.random.key(1), 6)
+tasks = family.sample_many(jax.random.key(1), 7)
 dqn = run(DQN(family, tasks, None, small), keys, updates=10, every=5)
 told = {}
 for name, outcome in (("meta", meta), ("dqn", dqn)):
@@ -57,7 +57,7 @@ def alone():
 
 @pytest.mark.parametrize("devices", [2, 4])
 def test_as_on_one_device(devices, alone):
-    """Six learners on four devices are padded to eight."""
+    """Seven learners are padded to eight."""
     spread = learned_on(devices)
     assert (alone["devices"], spread["devices"]) == (1, devices)
     assert spread.keys() == alone.keys()
@@ -72,6 +72,6 @@ def test_as_on_one_device(devices, alone):
 
 def test_it_learned_something(alone):
     losses = np.asarray(alone["meta"]["outer_loss"])
-    assert losses.shape == (6, 3)
+    assert losses.shape == (7, 3)
     assert (losses[:, 1:] > 0).all()
-    assert len({tuple(row) for row in alone["dqn"]["td_loss"]}) == 6, "every learner has its own key"
+    assert len({tuple(row) for row in alone["dqn"]["td_loss"]}) == 7, "every learner has its own key"

@@ -11,7 +11,7 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Int
 
 from upslope.learner import AbstractLearner, in_turn
-from upslope.run.compiling import QUICK_TO_COMPILE, QUICK_TO_RUN
+from upslope.run.compiling import ONE_THREAD, QUICK_TO_COMPILE, QUICK_TO_RUN
 from upslope.types import Key, Keys, Metrics
 
 _AXIS = "learners"
@@ -70,7 +70,8 @@ def compile(learners: AbstractLearner, keys: Keys) -> None:
         return jax.ShapeDtypeStruct(info.shape, info.dtype, sharding=sharding)
 
     states, totals = jax.tree.map(known, started.out_info, started.output_shardings)
-    _advance.lower(learners, states, totals, np.int32(0), np.bool_(False), np.bool_(False), everywhere).compile()
+    settings = (np.int32(0), np.bool_(False), np.bool_(False))
+    _advance_on(everywhere).lower(learners, states, totals, *settings, everywhere).compile()
 
 
 def start(learners: AbstractLearner, keys: Keys) -> tuple[Any, Metrics]:
@@ -94,7 +95,8 @@ def advance(learners: AbstractLearner, states: Any, totals: Metrics, steps: int,
         report: let every learner report at the end.
     """
     shared = mesh(_length(totals))
-    return _advance(learners, states, totals, np.int32(steps), np.bool_(fresh), np.bool_(report), shared)
+    settings = (np.int32(steps), np.bool_(fresh), np.bool_(report))
+    return _advance_on(shared)(learners, states, totals, *settings, shared)
 
 
 def shapes(learners: AbstractLearner, keys: Keys) -> tuple[Any, Any, Any]:
@@ -220,6 +222,11 @@ def _advance_all(
 
 # What runs once is compiled as fast as can be; what runs for long, well.
 _start = jax.jit(_start_all, static_argnames="devices", compiler_options=QUICK_TO_COMPILE)
-_advance = jax.jit(
-    _advance_all, static_argnames="devices", donate_argnames=("states", "totals"), compiler_options=QUICK_TO_RUN
+_advance_on_one, _advance_on_many = (
+    jax.jit(_advance_all, static_argnames="devices", donate_argnames=("states", "totals"), compiler_options=options)
+    for options in (QUICK_TO_RUN, QUICK_TO_RUN | ONE_THREAD)
 )
+
+
+def _advance_on(devices: Mesh) -> Any:
+    return _advance_on_many if devices.size > 1 else _advance_on_one

@@ -13,6 +13,9 @@ import jax
 #: LLVM's first level: these programs compile in 6 of 10 seconds, and run as fast as at the default level.
 QUICK_TO_RUN = {"xla_backend_optimization_level": 1}
 
+#: No threads within a matrix product: where every core has a device of its own they only get in each other's way.
+ONE_THREAD = {"xla_cpu_multi_thread_eigen": False}
+
 #: LLVM's lowest level, for programs that run once: it compiles faster still, and the program runs three times slower.
 QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}
 
