@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upslope.statistics import _weighted_iqm, bootstrap, first_at_least, interquartile_mean, quartiles
+from upslope.statistics import (
+    _weighted_iqm,
+    bootstrap,
+    first_at_least,
+    interquartile_mean,
+    paired_difference,
+    quartiles,
+)
 
 #: Two seeds, four tasks, two evaluations: 1 to 8 at the first, ten times that at the second.
 EIGHT = np.stack([np.arange(1.0, 9.0), 10 * np.arange(1.0, 9.0)], axis=-1).reshape(2, 4, 2)
@@ -116,3 +123,27 @@ class TestFirstAtLeast:
 
     def test_it_is_a_plain_integer(self):
         assert type(first_at_least(self.updates, np.ones(4), 1.0)) is int
+
+
+class TestPairedDifference:
+    def test_by_hand(self):
+        difference = paired_difference(EIGHT + 3, EIGHT)
+        assert (difference.mean, difference.low, difference.high) == (3.0, 3.0, 3.0)
+
+    def test_the_interval_is_over_tasks(self):
+        # Seeds and evaluations cancel out: of four tasks one is better by 4, so a resample's mean is 0, 1, 2, 3 or 4.
+        ours = EIGHT.copy()
+        ours[:, 2] += 4
+        difference = paired_difference(ours, EIGHT)
+        assert difference.mean == 1.0
+        assert difference.low == 0.0
+        assert difference.high == 3.0
+
+    def test_it_covers_the_truth_about_as_often_as_it_says(self):
+        rng = np.random.default_rng(1)
+        hits = 0
+        for trial in range(200):
+            ours = rng.normal(0.5, 1.0, size=(1, 40, 1))
+            found = paired_difference(ours, np.zeros_like(ours), samples=400, seed=trial)
+            hits += found.low <= 0.5 <= found.high
+        assert 180 <= hits <= 198

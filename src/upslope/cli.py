@@ -18,7 +18,7 @@ Command = Reproduce | MetaTrain | Train | Adapt | Check
 
 def parse(recipe: MetaTrainingConfig | None = None) -> Command:
     """What the command line asks for; a recipe stands in for the defaults of meta-training."""
-    meta_training = MetaTrain(family=tyro.MISSING, config=recipe or MetaTrainingConfig())
+    meta_training = MetaTrain(config=recipe or MetaTrainingConfig())
     commands = (
         Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
         | Annotated[MetaTrain, tyro.conf.subcommand("meta-train", default=meta_training)]

@@ -78,7 +78,7 @@ class MetaTrain:
     The defaults are the family's own recipe; those told here are of CartPoles.
     """
 
-    family: Positional[str]
+    family: Positional[str] = "cartpole"
     """Which family: cartpole, obstacles or clean (the paper's maps), or grid (any others)."""
     out: Path | None = None
     """Folder for the prior and its logs; it must be empty."""

@@ -67,6 +67,25 @@ def _weighted_iqm(
     return kept @ values[order] / (above - below)
 
 
+class Difference(NamedTuple):
+    """A mean difference with the bounds of its 95 % bootstrap interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def paired_difference(ours: Scores, theirs: Scores, *, samples: int = 2000, seed: int = 0) -> Difference:
+    """Ours less theirs, mean over all runs and evaluations; the two share seeds and tasks.
+
+    The interval is of a bootstrap over tasks: what other tasks might have shown with the same seeds.
+    """
+    of_tasks = (np.asarray(ours, float) - np.asarray(theirs, float)).mean(axis=(0, 2))
+    drawn = np.random.default_rng(seed).integers(of_tasks.size, size=(samples, of_tasks.size))
+    low, high = np.percentile(of_tasks[drawn].mean(axis=1), [2.5, 97.5])
+    return Difference(float(of_tasks.mean()), float(low), float(high))
+
+
 def first_at_least(updates: np.ndarray, curve: Curve, threshold: float) -> int | None:
     """The first number of updates at which the curve is at or above the threshold; None if it never is."""
     reached = np.flatnonzero(curve >= threshold)

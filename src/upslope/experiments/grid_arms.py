@@ -33,11 +33,11 @@ def grid_arms(
         "unshaped": jnp.zeros_like(own),
         "constant": jnp.broadcast_to(levels[:, None, None], own.shape),
         "prior": own,
-        "prior_ensemble": jnp.mean(own, axis=0),
-        "prior_unzeroed": own,
         "multi_task_dqn": others,
         "manhattan": manhattan_potential(family, tasks).values,
         "oracle": optimal_potential(family, tasks).values,
+        "prior_ensemble": jnp.mean(own, axis=0),
+        "prior_unzeroed": own,
     }
     return {
         name: Shaping(

@@ -23,6 +23,7 @@ from upslope.measures import measure_all, truths
 from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
+from upslope.statistics import paired_difference
 from upslope.tasks import JaxTasks
 from upslope.types import Task
 
@@ -51,7 +52,7 @@ class GridFigureConfig:
     seeds: int = 5
     tasks: int = 40
     first_seed: int = 0
-    dqn_updates: int = 400
+    dqn_updates: int = 300
     every: int = 25
     meta_training: MetaTrainingConfig = field(default_factory=for_grid_games)
     multi_task: MetaTrainingConfig = field(default_factory=multi_task_dqn)
@@ -126,6 +127,7 @@ def grid_figure(
                 session=session,
                 score=SUCCESS,
             )
+            finished["right"] = replace(finished["right"], notes={"prior_less": _differences(finished["right"])})
         if "left" in panels:
             left = adaptation_panel(
                 unseen,
@@ -155,6 +157,13 @@ def grid_figure(
         seconds_compiling=clock.seconds,
         seconds_running=time.perf_counter() - began - clock.seconds,
     )
+
+
+def _differences(panel: Panel) -> dict[str, dict[str, float]]:
+    """How much more often runs shaped by the prior have succeeded, over all evaluations, than those of other arms."""
+    ours = panel.arms["prior"].returns
+    others = ((name, arm.returns) for name, arm in panel.arms.items() if name != "prior")
+    return {name: paired_difference(ours, returns)._asdict() for name, returns in others}
 
 
 def _describe(family: JaxTasks, tasks: Task, priors: Priors, control: Priors, first_seed: int) -> list[dict[str, Any]]:
