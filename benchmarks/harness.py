@@ -183,6 +183,11 @@ def number(value: Any) -> str:
     return f"{value:,.{min(decimals, 6)}f}"
 
 
+def counted(count: int, noun: str) -> str:
+    """A number and its noun."""
+    return f"{count:,} {noun}" + ("" if count == 1 else "s")
+
+
 def _peer_versions() -> dict[str, str]:
     found = {}
     for name in _PEERS:

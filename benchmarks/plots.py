@@ -14,16 +14,17 @@ from matplotlib import pyplot as plt
 OURS, PEERS = "#1b6ca8", "#b0b0b0"
 
 
-def draw_all(found: dict[str, Any], folder: Path) -> dict[str, str]:
-    """Draws what can be drawn; the pictures' paths from the page, by benchmark."""
-    pictures = {}
-    for name, draw in _DRAWN.items():
-        if name in found:
-            figure = draw(found[name])
-            figure.savefig(folder / f"{name}.png", dpi=90, bbox_inches="tight", metadata={"Software": None})
-            plt.close(figure)
-            pictures[name] = f"performance/{name}.png"
-    return pictures
+def pictures(found: dict[str, Any]) -> dict[str, str]:
+    """The pictures' paths from the page, by benchmark."""
+    return {name: f"performance/{name}.png" for name in _DRAWN if name in found}
+
+
+def draw_all(found: dict[str, Any], docs: Path) -> None:
+    """Draws what can be drawn into ``docs/performance/``."""
+    for name, path in pictures(found).items():
+        figure = _DRAWN[name](found[name])
+        figure.savefig(docs / path, dpi=90, bbox_inches="tight", metadata={"Software": None})
+        plt.close(figure)
 
 
 def bars_of(pick: Callable[[str, Any], float | None], label: str) -> Callable[[Any], Any]:

@@ -47,20 +47,22 @@ class Options:
 
 def main(options: Options) -> None:
     """Writes the page."""
-    found = {}
-    for name, *_ in SECTIONS:
-        path = options.results / f"{name}.json"
-        if path.exists():
-            found[name] = json.loads(path.read_text(encoding="utf-8"))
-    pictures = options.docs / "performance"
-    pictures.mkdir(parents=True, exist_ok=True)
-    text = page(found, plots.draw_all(found, pictures))
-    (options.docs / "performance.md").write_text(text, encoding="utf-8")
+    found = results(options.results)
+    (options.docs / "performance").mkdir(parents=True, exist_ok=True)
+    plots.draw_all(found, options.docs)
+    (options.docs / "performance.md").write_text(page(found), encoding="utf-8")
     print(f"{len(found)} of {len(SECTIONS)} benchmarks written to {options.docs / 'performance.md'}.")
 
 
-def page(found: dict[str, Any], pictures: dict[str, str]) -> str:
-    """The whole page from the contents of the JSON files and the names of the pictures."""
+def results(folder: Path) -> dict[str, Any]:
+    """The contents of the JSON files, by benchmark."""
+    files = {name: folder / f"{name}.json" for name, *_ in SECTIONS}
+    return {name: json.loads(path.read_text(encoding="utf-8")) for name, path in files.items() if path.exists()}
+
+
+def page(found: dict[str, Any]) -> str:
+    """The whole page from the contents of the JSON files."""
+    pictures = plots.pictures(found)
     parts = [
         "# How long it takes",
         "<!-- Written by `python -m benchmarks.report`; edit benchmarks/notes, not this. -->",
@@ -93,8 +95,9 @@ def section(name: str, arguments: str, minutes: str, content: Any, picture: str 
             yield extra_table(extra, content[extra])
     if content["bars"]:
         yield bars_table({name: content})
-    load = content["hardware"]["load"][0]
-    yield f"Measured {content['written'][:16].replace('T', ' ')} UTC, {repeats(content)}, load {load:.1f} at the end."
+    load = content["hardware"].get("load")
+    written = content["written"][:16].replace("T", " ")
+    yield f"Measured {written} UTC, {repeats(content)}{f', load {load[0]:.1f} at the end' if load else ''}."
 
 
 _EXTRAS = {"meta_training": ("curves",), "scaling": ("fits",)}
@@ -146,9 +149,11 @@ def machines(found: dict[str, Any]) -> str:
 
 def markdown(heads: list[str], body: list[list[str]]) -> str:
     """A table, numbers on the right."""
-    lines = [heads, ["---"] + ["---:"] * (len(heads) - 1), *body]
+    lines = [heads, ["---", *(f"---{'' if head in _WORDS else ':'}" for head in heads[1:])], *body]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
+
+_WORDS = ("", "what bounds it")
 
 if __name__ == "__main__":
     main(tyro.cli(Options))

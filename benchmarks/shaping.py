@@ -14,6 +14,7 @@ from typing import Any
 
 import gymnasium as gym
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
@@ -28,7 +29,7 @@ from upslope.run.loop import broadcast
 from upslope.shaping import potential_based
 from upslope.tasks import cartpoles
 
-#: All of the peers' learners get the pole of the middle of the family; ours get poles of all lengths.
+#: The pole of the middle of the family, for all.
 LENGTH = 2.625
 CLEAN, SB3, SBX = "PyTorch, CleanRL's manner", "Stable-Baselines3", "SBX"
 
@@ -60,7 +61,8 @@ def main(options: Options) -> None:
     for shaped in (False, True):
         how = "shaped" if shaped else "unshaped"
         learners |= {
-            f"upslope, {n:,} learners, {how}": Ours(n, prior if shaped else None, options) for n in options.counts
+            f"upslope, {harness.counted(n, 'learner')}, {how}": Ours(n, prior if shaped else None, options)
+            for n in options.counts
         }
         learners |= {f"{name}, {how}": peer for name, peer in peers(prior if shaped else None, options).items()}
     parts = {
@@ -76,11 +78,11 @@ def main(options: Options) -> None:
 
 
 class Ours:
-    """So many DQN learners, each on a pole of its own, in the programs that the figures run."""
+    """So many DQN learners side by side, in the programs that the figures run."""
 
     def __init__(self, count: int, prior: Prior | None, options: Options):
         family = cartpoles()
-        tasks = family.sample_many(jax.random.key(1), count)
+        tasks = jax.vmap(family.sample_params.with_length)(jnp.full(count, LENGTH))
         shaping = None if prior is None else broadcast(potential_based(prior.network.value), (count,))
         config = DQNConfig(decay_updates=_all_updates(options))
         self.count, self.steps_per_update = count, config.steps_per_update
