@@ -20,7 +20,7 @@ from upslope.experiments.results import FigureResult, write_results
 from upslope.recipes import MetaTrainingConfig
 
 SHAPING_ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "oracle"]
-SMALL_PROGRAMS = 153
+SMALL_PROGRAMS = 40
 SMALL = MetaTrainingConfig(iterations=20, tasks=4, steps_per_task=40, batch_size=16, evaluation_tasks=3)
 TINY = Figure1Config(
     seeds=2,
