@@ -30,6 +30,7 @@ from upslope.run.loop import broadcast
 from upslope.run.randomness import unrolled
 from upslope.shaping import Shaping, potential_based
 from upslope.tasks import cartpoles, obstacle_maps
+from upslope.types import Keys
 
 
 @dataclass(frozen=True)
@@ -54,20 +55,23 @@ def main(options: Options) -> None:
     parts: dict[str, Part] = {}
     counts: dict[str, int] = {}
     for job, make in jobs.items():
-        learners, phases, steps = make()
+        learners, keys, phases, steps = make()
         steps = 1 if options.quick else steps
-        for phase, part in cut_off(learners, phases, steps).items():
+        for phase, part in cut_off(learners, keys, phases, steps).items():
             parts[f"{job}: {phase}"] = part
             counts[f"{job}: {phase}"] = steps
     rows = harness.time_in_turns(parts, options.repeats)
     harness.write("profile", options, differences(rows, counts), unit="ms a step")
 
 
-def all_jobs(count: int) -> dict[str, Callable[[], tuple[AbstractLearner, Mapping[str, Phase], int]]]:
-    """A stack of learners, the phases of their step, and how many steps make a repeat."""
+def all_jobs(count: int) -> dict[str, Callable[[], tuple[AbstractLearner, Keys, Mapping[str, Phase], int]]]:
+    """A stack of learners, their keys, the phases of their step, and how many steps make a repeat."""
     poles = cartpoles()
     tasks = poles.sample_many(jax.random.key(1), count)
     prior = MetaTraining(poles).init(jax.random.key(2)).theta
+
+    def keys(count: int) -> Keys:
+        return unrolled(jax.random.split(jax.random.key(0), count))
 
     def shaping() -> Shaping:
         return broadcast(potential_based(mean_potential(stack([prior] * 5))), (count,))
@@ -83,23 +87,22 @@ def all_jobs(count: int) -> dict[str, Callable[[], tuple[AbstractLearner, Mappin
         return broadcast(learner, (count,))
 
     return {
-        "Algorithm 1": lambda: (broadcast(MetaTraining(poles), (1,)), META_TRAINING, 100),
+        "Algorithm 1": lambda: (broadcast(MetaTraining(poles), (1,)), keys(1), META_TRAINING, 100),
         "Algorithm 1 on maps": lambda: (
             broadcast(MetaTraining(obstacle_maps("train"), for_grid_games()), (1,)),
+            keys(1),
             META_TRAINING,
             5,
         ),
-        "DQN": lambda: (DQN(poles, tasks, shaping()), DQN_PHASES, 100),
-        "DDPG": lambda: (DDPG(cartpoles(continuous=True), tasks, shaping()), DDPG_PHASES, 50),
-        "adaptation": lambda: (adaptation(), ADAPTATION_PHASES, 5),
+        "DQN": lambda: (DQN(poles, tasks, shaping()), keys(count), DQN_PHASES, 100),
+        "DDPG": lambda: (DDPG(cartpoles(continuous=True), tasks, shaping()), keys(count), DDPG_PHASES, 50),
+        "adaptation": lambda: (adaptation(), keys(count), ADAPTATION_PHASES, 5),
     }
 
 
-def cut_off(learners: AbstractLearner, phases: Mapping[str, Phase], steps: int) -> dict[str, Part]:
+def cut_off(learners: AbstractLearner, keys: Keys, phases: Mapping[str, Phase], steps: int) -> dict[str, Part]:
     """Programs of so many steps that end after each phase."""
     axes = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, learners)
-    count = next(leaf.shape[0] for leaf in jax.tree.leaves(learners) if np.ndim(leaf))
-    keys = unrolled(jax.random.split(jax.random.key(0), count))
     start = jax.jit(jax.vmap(lambda one, key: one.init(key), (axes, 0)), compiler_options=QUICK_TO_COMPILE)
     states = start(learners, keys)
 
