@@ -41,5 +41,5 @@ class Going:
 
 
 def _pad(leaf: Any) -> Any:
-    missing = -leaf.shape[0] % chunks.devices()
+    missing = -leaf.shape[0] % chunks.devices(leaf.shape[0])
     return jnp.concatenate([leaf, *[leaf[-1:]] * missing]) if missing else leaf

@@ -21,7 +21,7 @@ from benchmarks.phases import ADAPTATION_PHASES, DDPG_PHASES, DQN_PHASES, META_T
 from upslope.agents.adaptation import Adaptation, AdaptationConfig
 from upslope.agents.ddpg import DDPG
 from upslope.agents.dqn import DQN
-from upslope.learner import AbstractLearner
+from upslope.learner import AbstractLearner, in_turn
 from upslope.meta_training import MetaTraining
 from upslope.potentials import mean_potential, stack
 from upslope.recipes import for_grid_games
@@ -103,6 +103,7 @@ def all_jobs(count: int) -> dict[str, Callable[[], tuple[AbstractLearner, Keys, 
 def cut_off(learners: AbstractLearner, keys: Keys, phases: Mapping[str, Phase], steps: int) -> dict[str, Part]:
     """Programs of so many steps that end after each phase."""
     axes = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, learners)
+    alone = in_turn(learners)
     start = jax.jit(jax.vmap(lambda one, key: one.init(key), (axes, 0)), compiler_options=QUICK_TO_COMPILE)
     states = start(learners, keys)
 
@@ -114,11 +115,16 @@ def cut_off(learners: AbstractLearner, keys: Keys, phases: Mapping[str, Phase], 
 
             return jax.lax.fori_loop(0, steps, body, (state, jnp.zeros(())))
 
-        program = jax.jit(jax.vmap(run, (axes, 0)), donate_argnums=1, compiler_options=QUICK_TO_RUN)
-        held = [jax.tree.map(jnp.copy, states)]
+        # Convolutional learners run without an axis of learners, one after the other.
+        mapped = run if alone else jax.vmap(run, (axes, 0))
+        program = jax.jit(mapped, donate_argnums=1, compiler_options=QUICK_TO_RUN)
+        given = (learners, states)
+        if alone:
+            given = jax.tree.map(lambda leaf: leaf[0] if np.ndim(leaf) else leaf, given)
+        held = [jax.tree.map(jnp.copy, given[1])]
 
         def go() -> None:
-            held[0], _ = jax.block_until_ready(program(learners, held[0]))
+            held[0], _ = jax.block_until_ready(program(given[0], held[0]))
 
         return Part(go)
 
