@@ -3,7 +3,6 @@
 ``python -m benchmarks.checkpoints`` writes ``benchmarks/results/checkpoints.json``.
 """
 
-import json
 import tempfile
 import time
 from dataclasses import dataclass
@@ -11,30 +10,26 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 import tyro
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks import harness
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.run.checkpoints import Checkpoints, Stage
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import run
-from upslope.run.machine import hardware, versions
 from upslope.run.session import Session
 from upslope.tasks import cartpoles
 
-RESULTS = Path(__file__).parent / "results" / "checkpoints.json"
-
 
 @dataclass(frozen=True)
-class Options:
-    """What to time."""
+class Options(harness.Options):
+    """What to time.
 
-    repeats: int = 5
-    """Saves of each size."""
+    Attributes:
+        updates: of the long run of 200 DQN learners; some minutes, so that saves at the default cadence fall into it.
+    """
+
     updates: int = 60_000
-    """Of the long run of 200 DQN learners; some minutes, so that saves at the default cadence fall into it."""
 
 
 class Watched:
@@ -75,26 +70,18 @@ def main(options: Options) -> None:
             watched.seconds.clear()
             # One more save, the first, finds nothing in the page cache; it is not counted.
             learn(count, options.repeats + 1, 1, Checkpoints(root / str(count), every_updates=1))
-            times = watched.seconds[1 : options.repeats + 1]
-            rows[f"one save, {count} learners"] = {
-                "megabytes": watched.bytes / 2**20,
-                "median": float(np.median(times)),
-                "fastest": min(times),
-                "slowest": max(times),
+            rows[f"one save, {count} learners"] = harness.spread(watched.seconds[1 : options.repeats + 1]) | {
+                "MiB": watched.bytes / 2**20
             }
         watched.seconds.clear()
-        total = learn(200, options.updates, 1000, Checkpoints(root / "long"))
-    share = sum(watched.seconds) / total
-    long = {"seconds": total, "saves": len(watched.seconds), "seconds_saving": sum(watched.seconds), "share": share}
-    RESULTS.parent.mkdir(exist_ok=True)
-    content = {"rows": rows, "long_run": long, "versions": versions(), "hardware": hardware()}
-    RESULTS.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    table = Table("", "MiB", "seconds", "range", title="Checkpoints")
-    for name, row in rows.items():
-        span = f"{row['fastest']:.3f} to {row['slowest']:.3f}"
-        table.add_row(name, f"{row['megabytes']:.1f}", f"{row['median']:.3f}", span)
-    Console().print(table)
-    print(f"{long['saves']} saves took {100 * share:.2f} % of a run of {total:.0f} seconds. Written to {RESULTS}.")
+        total = learn(200, 1000 if options.quick else options.updates, 1000, Checkpoints(root / "long"))
+    saving = sum(watched.seconds)
+    rows["a long run of 200 learners"] = harness.spread([total]) | {
+        "saves": len(watched.seconds),
+        "seconds saving": saving,
+        "% of the run": 100 * saving / total,
+    }
+    harness.write("checkpoints", options, rows)
 
 
 if __name__ == "__main__":

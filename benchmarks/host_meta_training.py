@@ -3,56 +3,51 @@
 ``python -m benchmarks.host_meta_training`` writes ``benchmarks/results/host_meta_training.json``.
 """
 
-import json
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import gymnasium as gym
 import jax
 import numpy as np
 import tyro
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks import harness
 from upslope import GymnasiumTasks, MetaTrainingConfig
 from upslope.meta_training import MetaTraining
 from upslope.run.loop import broadcast, run
-from upslope.run.machine import hardware, versions
-
-RESULTS = Path(__file__).parent / "results" / "host_meta_training.json"
 
 #: Gymnasium's own CartPole, and ours with the same physics, whose step costs a third of it.
 NAMES = ("CartPole-v1", "upslope/CartPole-v0")
 
 
 @dataclass(frozen=True)
-class Options:
-    """What to time."""
+class Options(harness.Options):
+    """What to time.
 
-    repeats: int = 5
-    """Of each environment, in turns, after one run that compiles."""
+    Attributes:
+        iterations: meta-iterations of a run, of 10 tasks × 200 steps each.
+    """
+
     iterations: int = 30
-    """Meta-iterations of a run, of 10 tasks × 200 steps each."""
 
 
 def main(options: Options) -> None:
-    """Times the runs, and writes the share of the time that was spent in the environments."""
-    rows: dict[str, dict[str, list[float]]] = {name: {"seconds": [], "share in environments": []} for name in NAMES}
-    for repeat in range(options.repeats + 1):
+    """Times the runs in turns, and writes the share of the time that was spent in the environments."""
+    iterations, repeats = (2, 1) if options.quick else (options.iterations, options.repeats)
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in NAMES}
+    for repeat in range(repeats + 1):
         for name in NAMES:
-            seconds, share = train(name, options.iterations)
+            timed = train(name, iterations)
             if repeat:
-                rows[name]["seconds"].append(seconds)
-                rows[name]["share in environments"].append(share)
-    table = Table("", "seconds", "share in environments", title=f"{options.iterations} iterations of Algorithm 1")
-    for name, row in rows.items():
-        table.add_row(name, *(f"{np.median(values):.2f}" for values in row.values()))
-    content = {"rows": rows, "iterations": options.iterations, "versions": versions(), "hardware": hardware()}
-    RESULTS.parent.mkdir(exist_ok=True)
-    RESULTS.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    Console().print(table)
-    print(f"Written to {RESULTS}.")
+                found[name].append(timed)
+    rows = {}
+    for name, timed in found.items():
+        seconds, shares = zip(*timed, strict=True)
+        rows[f"{iterations} iterations on {name}"] = harness.spread(seconds) | {
+            "seconds": list(seconds),
+            "share in environments": float(np.median(shares)),
+        }
+    harness.write("host_meta_training", options, rows)
 
 
 def train(name: str, iterations: int) -> tuple[float, float]:

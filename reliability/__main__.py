@@ -1,10 +1,11 @@
 """``python -m reliability [--long]``: all checks, a table, and ``reliability/results/short.json`` or ``long.json``."""
 
+import functools
 import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from rich.table import Table
 
 from reliability import audit, disk, kills, mutations, race, stops
 from reliability.processes import BrokenPromiseError
+from reliability.worker import HOST_KINDS, KINDS
 from upslope.run.compiling import set_up_devices
 from upslope.run.machine import hardware, versions
 
@@ -26,42 +28,56 @@ class Options:
     """How thorough."""
 
     long: bool = False
-    """500 kills and 20 signals per phase instead of 50 and 2: about an hour."""
+    """Ten times as many kills and signals: about an hour."""
     seed: int = 0
     """Of the moments and mutations."""
+    only: str | None = None
+    """Run the checks with this in their names; the results of the others stay as they are."""
 
 
 def main() -> None:
     """Runs the checks one after another; exit code 1 if a promise is broken."""
     options = tyro.cli(Options, description=__doc__)
-    results: dict[str, Any] = {}
+    path = RESULTS / ("long.json" if options.long else "short.json")
+    others = options.only and path.is_file()
+    results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["checks"] if others else {}
+    kills_of_runs, stops_per_phase, kills_per_point, stops_of_a_figure = (
+        (500, 20, 3, 20) if options.long else (50, 2, 1, 2)
+    )
+    seed = options.seed
     with tempfile.TemporaryDirectory() as text:
         root = Path(text)
+        whole = functools.cache(lambda kind: kills.uninterrupted(kind, root))
 
-        def check(name: str, function: Callable[..., dict[str, Any]], *arguments: Any) -> None:
+        def check(name: str, function: Callable[[Path], dict[str, Any]]) -> None:
+            if options.only and options.only not in name:
+                return
             folder = root / name.replace(" ", "-")
             folder.mkdir()
             began = time.monotonic()
             try:
-                results[name] = function(folder, *arguments) | {"kept": True}
+                results[name] = function(folder) | {"kept": True}
             except BrokenPromiseError as error:
                 results[name] = {"kept": False, "what": str(error)}
             results[name]["seconds"] = round(time.monotonic() - began, 1)
             print(f"{name}: {results[name]}", file=sys.stderr, flush=True)
 
         # Forking comes first, while this process has no threads of JAX's.
-        check("simultaneous starts", race.simultaneous, 100)
+        check("simultaneous starts", lambda folder: race.simultaneous(folder, 100))
         set_up_devices()
-        wholes = {kind: kills.uninterrupted(kind, root) for kind in kills.KINDS}
-        count, times = (500, 20) if options.long else (50, 2)
-        check("SIGKILL at random moments", kills.at_random_moments, wholes, count, options.seed)
-        check("SIGKILL inside saves", kills.inside_saves, wholes["dqn"], 3 if options.long else 1)
-        check("SIGTERM in each phase", stops.in_each_phase, wholes["dqn"], times, options.seed)
-        check("full disk", disk.full, 16)
-        check("damaged and forged files", mutations.mutated, 10_000, options.seed)
+
+        def killed(kinds: Sequence[str], count: int) -> Callable[[Path], dict[str, Any]]:
+            return lambda folder: kills.at_random_moments(folder, whole, kinds, count, seed)
+
+        check("SIGKILL at random moments", killed(KINDS, kills_of_runs))
+        check("SIGKILL of runs on the host", killed(HOST_KINDS, kills_of_runs // 10))
+        check("SIGKILL inside saves", lambda folder: kills.inside_saves(folder, whole("dqn"), kills_per_point))
+        check("SIGTERM in each phase", lambda folder: stops.in_each_phase(folder, whole("dqn"), stops_per_phase, seed))
+        check("SIGTERM amid a figure", lambda folder: stops.amid_a_figure(folder, stops_of_a_figure, seed))
+        check("full disk", lambda folder: disk.full(folder, 16))
+        check("damaged and forged files", lambda folder: mutations.mutated(folder, 10_000, seed))
         check("what loading does", audit.loading)
     RESULTS.mkdir(exist_ok=True)
-    path = RESULTS / ("long.json" if options.long else "short.json")
     entries = {"checks": results, "seed": options.seed, "versions": versions(), "hardware": hardware()}
     path.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
     table = Table("check", "kept", "seconds", "what was seen", title="Reliability")

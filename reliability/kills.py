@@ -1,12 +1,12 @@
 """SIGKILL at random moments, and at every named point inside a save: what resumes ends where it would have ended."""
 
 import random
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from reliability.processes import Ending, require, resume, work
-from reliability.worker import KINDS
 
 MILESTONES = (
     "before the temporary file",
@@ -26,33 +26,53 @@ def uninterrupted(kind: str, folder: Path) -> Ending:
     return ending
 
 
-def at_random_moments(folder: Path, wholes: dict[str, Ending], count: int, seed: int) -> dict[str, Any]:
-    """Kills ``count`` times; each killed run goes on, is killed again or ends."""
-    share = [count // len(KINDS) + (index < count % len(KINDS)) for index in range(len(KINDS))]
+def at_random_moments(
+    folder: Path, whole_run: Callable[[str], Ending], kinds: Sequence[str], count: int, seed: int
+) -> dict[str, Any]:
+    """Kills ``count`` times; each killed run goes on, is killed again or ends.
 
-    def chain(index: int) -> tuple[int, int]:
-        kind, generator = KINDS[index], random.Random(seed * 1000 + index)
-        whole, kills, ended, number = wholes[kind], 0, 0, 0
+    A kill counts as one after progress if the run had a newer checkpoint by then than when it was started.
+    """
+    wholes = {kind: whole_run(kind) for kind in kinds}
+    share = [count // len(kinds) + (index < count % len(kinds)) for index in range(len(kinds))]
+
+    def chain(index: int) -> tuple[int, int, int]:
+        kind, generator = kinds[index], random.Random(seed * 1000 + index)
+        whole, kills, progressed, ended, number = wholes[kind], 0, 0, 0, 0
+        lasts = whole.seconds
         while kills < share[index]:
             run = folder / f"{kind}-{number}"
-            ending = resume(kind, run, kill_after=generator.uniform(0.1, 0.8) * whole.seconds)
+            before = newest_checkpoint(run)
+            # Half of a run is start and loading of programs, where there is little to lose.
+            ending = resume(kind, run, kill_after=generator.uniform(0.3, 1.2) * lasts)
             if ending.code == 0:
                 require(ending.digest == whole.digest, f"{kind} in {run} ended elsewhere after {kills} kills")
                 ended, number = ended + 1, number + 1
+                lasts = whole.seconds
             else:
                 require(ending.code == -9, f"{kind} in {run} ended with {ending.code}: {ending.errors}")
                 kills += 1
+                if newest_checkpoint(run) != before:
+                    progressed += 1
+                else:
+                    lasts *= 1.2  # on a machine that is slower now no run would ever come farther than its start
         ending = resume(kind, folder / f"{kind}-{number}")
         require(ending.digest == whole.digest, f"{kind} did not come to the same end: {ending.errors}")
-        return kills, ended + 1
+        return kills, progressed, ended + 1
 
     with ThreadPoolExecutor(2) as pool:
-        done = list(pool.map(chain, range(len(KINDS))))
+        done = list(pool.map(chain, range(len(kinds))))
     return {
-        "kills": sum(kills for kills, _ in done),
-        "runs_resumed_to_the_same_sha256": sum(ended for _, ended in done),
-        "kinds": list(KINDS),
+        "kills": sum(kills for kills, _, _ in done),
+        "of_them_after_progress": sum(progressed for _, progressed, _ in done),
+        "runs_resumed_to_the_end": sum(ended for _, _, ended in done),
+        "kinds": list(kinds),
     }
+
+
+def newest_checkpoint(run: Path) -> str | None:
+    """The name of a run's newest checkpoint, which tells its update."""
+    return max((path.name for path in (run / "checkpoints").rglob("*.safetensors")), default=None)
 
 
 def inside_saves(folder: Path, whole: Ending, times: int) -> dict[str, Any]:

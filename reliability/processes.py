@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -19,7 +20,7 @@ class Ending(NamedTuple):
         seconds: that it ran.
         digest: what it printed, if it came to its end.
         errors: what it said last.
-        honoured: seconds from the signal that it sent itself to its end.
+        honoured: seconds from the signal, if there was one, to its end.
     """
 
     code: int
@@ -43,19 +44,33 @@ def work(
     kind: str, folder: Path, *arguments: str, kill_after: float | None = None, cache: Path | None = None
 ) -> Ending:
     """Runs one worker to its end, or kills it after some seconds; with a compilation cache of its own if given."""
+    command = ("reliability.worker", kind, str(folder), *arguments)
+    return module(*command, signal_after=(signal.SIGKILL, kill_after), cache=cache)
+
+
+def module(*command: str, signal_after: tuple[int, float | None], cache: Path | None = None) -> Ending:
+    """Runs ``python -m`` with a command to its end, or to the end that a signal after some seconds leads to."""
     began = time.monotonic()
-    command = [sys.executable, "-m", "reliability.worker", kind, str(folder), *arguments]
     environment = os.environ | ({} if cache is None else {"UPSLOPE_CACHE": str(cache)})
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, cwd=ROOT
+        (sys.executable, "-m", *command),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        cwd=ROOT,
     )
+    number, after = signal_after
+    sent = 0.0
     try:
-        output, errors = process.communicate(timeout=kill_after)
+        output, errors = process.communicate(timeout=after)
     except subprocess.TimeoutExpired:
-        process.kill()
+        sent = time.time()
+        process.send_signal(number)
         output, errors = process.communicate()
-    sent = re.search(r"signalled at ([0-9.]+)", errors)
-    honoured = time.time() - float(sent[1]) if sent else 0.0
+    told = re.search(r"signalled at ([0-9.]+)", errors)
+    sent = float(told[1]) if told else sent
+    honoured = time.time() - sent if sent else 0.0
     return Ending(process.returncode, time.monotonic() - began, output.strip(), errors.strip()[-2000:], honoured)
 
 

@@ -1,12 +1,13 @@
-"""SIGTERM in each phase: honoured within ten seconds, resumable every time."""
+"""SIGTERM in each phase of a run, and amid a figure: honoured within ten seconds, resumable every time."""
 
 import random
+import signal
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from reliability.processes import Ending, require, resume, work
+from reliability.processes import Ending, module, require, resume, work
 from reliability.worker import PHASES
 
 #: Seconds from the beginning of a phase within which the signal comes.
@@ -42,3 +43,29 @@ def in_each_phase(folder: Path, whole: Ending, times: int, seed: int) -> dict[st
             phase: round(max(seconds for name, seconds in done if name == phase), 1) for phase in PHASES
         },
     }
+
+
+def amid_a_figure(folder: Path, times: int, seed: int) -> dict[str, Any]:
+    """Stops the quick Figure 1 ``times`` times, while programs compile in the background too, and lets it end."""
+    generator = random.Random(seed)
+
+    def figure(name: str, after: float | None, cache: Path | None = None) -> Ending:
+        again = ["--resume"] if (folder / name / "run.json").is_file() else []
+        command = ("upslope.cli", "reproduce", "fig1", "--quick", "--out", str(folder / name), *again)
+        return module(*command, signal_after=(signal.SIGTERM, after), cache=cache)
+
+    longest, stopped = 0.0, 0
+    while stopped < times:
+        # From the second stop on, some programs are in the cache and some are not.
+        ending = figure("stopped", generator.uniform(3.0, 20.0), folder / "cache")
+        require(ending.code in (0, 143), f"SIGTERM amid a figure ended with {ending.code}: {ending.errors}")
+        if ending.code == 0:
+            break
+        require(ending.honoured < 10, f"SIGTERM amid a figure took {ending.honoured:.1f} seconds")
+        longest, stopped = max(longest, ending.honoured), stopped + 1
+    for name in ("stopped", "whole"):
+        ending = figure(name, None)
+        require(ending.code == 0, f"the {name} figure ended with {ending.code}: {ending.errors}")
+    same = (folder / "stopped/returns.npz").read_bytes() == (folder / "whole/returns.npz").read_bytes()
+    require(same, f"a figure stopped {stopped} times has other returns than a whole one")
+    return {"stops": stopped, "longest_seconds_to_the_end": round(longest, 1), "returns_of_the_same_bytes": 1}

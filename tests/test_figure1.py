@@ -1,9 +1,11 @@
 """Figure 1 in miniature: what it writes, that it is the same twice, and that what it says follows from its numbers."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from rich.console import Console
@@ -18,6 +20,7 @@ from upslope.experiments.results import FigureResult, write_results
 from upslope.recipes import MetaTrainingConfig
 
 SHAPING_ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "oracle"]
+SMALL_PROGRAMS = 40
 SMALL = MetaTrainingConfig(iterations=20, tasks=4, steps_per_task=40, batch_size=16, evaluation_tasks=3)
 TINY = Figure1Config(
     seeds=2,
@@ -34,8 +37,22 @@ TINY = Figure1Config(
 
 
 @pytest.fixture(scope="module")
-def result() -> FigureResult:
-    return figure1(TINY, is_quick=True)
+def compiled() -> Counter[str]:
+    """How often each function was compiled for `result`."""
+    return Counter()
+
+
+@pytest.fixture(scope="module")
+def result(compiled: Counter[str]) -> FigureResult:
+    def listen(event: str, _: float, fun_name: str = "", **__: object) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled[fun_name.removeprefix("jit(").removesuffix(")")] += 1
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        return figure1(TINY, is_quick=True)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +69,17 @@ def test_the_same_command_twice_gives_the_same_bits(result: FigureResult) -> Non
     for name, panel in result.panels.items():
         for arm, curves in panel.arms.items():
             np.testing.assert_array_equal(curves.returns, again.panels[name].arms[arm].returns)
+
+
+def test_one_program_serves_all_arms_seeds_and_repeats(result: FigureResult, compiled: Counter[str]) -> None:
+    """Compiling is what a user waits for: whoever makes a figure compile more finds it here."""
+    assert len(result.panels) == 3
+    # Priors, oracles, adaptation, DQN, DDPG.
+    assert (compiled["_start_all"], compiled["_advance_all"]) == (5, 5)
+    assert compiled["zero_shot_returns"] <= 1, "only once, and not if an earlier test did"
+    assert compiled["mean_levels"] <= 1
+    # What is left is single operations outside of any program, some hundredths of a second each.
+    assert sum(compiled.values()) <= SMALL_PROGRAMS + 12
 
 
 def test_every_arm_of_every_panel_is_there(folder: Path) -> None:

@@ -89,6 +89,26 @@ class TestBatching:
             np.testing.assert_allclose(odd.reports["return"][index], single.reports["return"][0], rtol=1e-5)
         assert even.reports["return"].shape[0] == 4
 
+    def test_blocks_of_learners_leave_no_trace(self):
+        """Twenty learners on each of two devices take their steps ten at a time, three all at once."""
+        assert (chunks.at_a_time(walks(0.0), 20), chunks.at_a_time(walks(0.0), 3)) == (10, 3)
+        drifts = [float(index) for index in range(40)]
+        many = walk(drifts)
+        few = run(walks(drifts[17:23]), keys(40)[17:23], updates=7, every=3)
+        assert_trees_identical(jax.tree.map(lambda leaf: leaf[17:23], many.states), few.states)
+        assert_trees_identical(jax.tree.map(lambda leaf: leaf[17:23], many.reports), few.reports)
+        np.testing.assert_allclose(many.states.place, 7 * np.asarray(drifts), atol=2)
+
+    def test_a_block_that_breaks_is_told_by_its_learner(self):
+        breaks_at = jnp.where(jnp.arange(40) == 23, 5, -1)
+        learners = eqx.tree_at(lambda walk: walk.breaks_at, walks([0.0] * 40), breaks_at)
+        with pytest.raises(UpslopeError, match=r"learner 23 .* at update 5 \(1 of 40"):
+            run(learners, keys(40), updates=7, every=3)
+
+    @pytest.mark.parametrize(("count", "size"), [(1, 1), (8, 8), (17, 17), (100, 10), (500, 10), (96, 16), (40, 10)])
+    def test_how_many_take_their_steps_side_by_side(self, count, size):
+        assert chunks.at_a_time(walks(0.0), count) == size
+
 
 class TestDevices:
     @pytest.mark.parametrize(("learners", "on_two"), [(1, 1), (2, 2), (3, 2), (200, 2)])

@@ -54,6 +54,14 @@ class TestKeptGraph:
         objective = jax.jit(lambda net: meta.outer_loss(net, data))
         assert_gradient(objective, theta, outer_gradient(meta, theta, data), rtol=1e-5)
 
+    def test_rematerialised_it_is_the_same(self):
+        """And other operations lead to it: what the inner steps made is made again."""
+        theta, data = small_network(0), samples()
+        kept, again = (learner(outer_target="kept", inner_steps=2, rematerialise=how) for how in (False, True))
+        assert_trees_close(outer_gradient(again, theta, data), outer_gradient(kept, theta, data), rtol=1e-9, atol=1e-12)
+        assert "remat" in str(jax.make_jaxpr(lambda net: again.outer_loss(net, data))(theta))
+        assert "remat" not in str(jax.make_jaxpr(lambda net: kept.outer_loss(net, data))(theta))
+
     def test_first_order_takes_the_posterior_s_jacobian_for_the_identity(self):
         meta, theta, data = learner(outer_target="kept", first_order=True), small_network(0), samples()
         ours = outer_gradient(meta, theta, data)

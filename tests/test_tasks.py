@@ -9,6 +9,8 @@ from support.comparing import assert_trees_identical
 from support.poles import gymnasium_trajectory, gymnasium_twin
 from upslope.envs.cartpole import CartPole
 from upslope.errors import UpslopeError
+from upslope.networks import DuelingQ
+from upslope.policies import EpsilonGreedy, Greedy
 from upslope.potentials import stack
 from upslope.tasks import cartpoles
 
@@ -150,6 +152,29 @@ class TestCollecting:
         going_on = ~(ends[0] | ends[1])[:, -1]
         np.testing.assert_array_equal(running.obs[going_on], batch.next_obs[:, -1][going_on])
         assert running.obs.shape == (3, 4)
+
+
+class TestDrawingAhead:
+    """Policies whose noise is drawn before the first step act as those that draw their own at each step."""
+
+    tasks = stack([pole(length) for length in (0.5, 1.0, 3.0)])
+
+    @pytest.mark.parametrize("kind", [EpsilonGreedy, Greedy])
+    def test_the_same_steps(self, kind):
+        family = cartpoles(gamma=0.9)
+        network = DuelingQ(jax.random.key(1), 4, 2)
+        policy = kind(network, jnp.linspace(0.1, 0.9, 3)) if kind is EpsilonGreedy else kind(network)
+        as_function = lambda key, obs: policy(key, obs)  # noqa: E731
+
+        def trial(policy):
+            batch = family.rollout(jax.random.key(2), self.tasks, policy, 40)
+            return batch, family.returns(jax.random.key(3), self.tasks, policy)
+
+        drawn_ahead, drawn_in_turn = (jax.jit(lambda p=p: trial(p))() for p in (policy, as_function))
+        np.testing.assert_array_equal(drawn_ahead[0].action, drawn_in_turn[0].action)
+        np.testing.assert_allclose(drawn_ahead[0].next_obs, drawn_in_turn[0].next_obs, rtol=1e-6)
+        np.testing.assert_array_equal(drawn_ahead[1], drawn_in_turn[1])
+        assert len(np.unique(drawn_ahead[0].action)) == 2
 
 
 class TestReturns:

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from upslope.api import adapt, meta_train, train
     from upslope.errors import UpslopeError
     from upslope.numpy_potential import NumpyPotential
+    from upslope.pretrained import load_prior
     from upslope.prior import Prior
     from upslope.recipes import MetaTrainingConfig
     from upslope.run.checkpoints import Checkpoints
@@ -32,6 +33,7 @@ _HOMES = {
     "grid_games": "upslope.tasks",
     "obstacle_maps": "upslope.tasks",
     "check_shaping": "upslope.wrappers",
+    "load_prior": "upslope.pretrained",
     "meta_train": "upslope.api",
     "train": "upslope.api",
 }
@@ -50,6 +52,7 @@ __all__ = [
     "check_shaping",
     "clean_maps",
     "grid_games",
+    "load_prior",
     "meta_train",
     "obstacle_maps",
     "train",

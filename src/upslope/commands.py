@@ -30,7 +30,8 @@ class Reproduce:
     figure: Positional[str]
     """fig1 to fig5; theorems (the paper's, checked on thousands of maps); all of these; or a study: deviations (what
     each difference from the paper is worth), learners and grid-learners (what their settings are worth), grid-readings
-    (what Algorithm 1's are worth on maps), step-ratio (how long Algorithm 2's second step should be)."""
+    (what Algorithm 1's are worth on maps), step-ratio (how long Algorithm 2's second step should be); or shipped-prior
+    (the prior of the package, with its card)."""
     out: Path | None = None
     """Folder for the results; it must be empty. A new one under runs/ by default."""
     quick: bool = False

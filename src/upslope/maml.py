@@ -26,6 +26,7 @@ def adapt(
     step_size: float | Scalar,
     steps: int = 1,
     first_order: bool = False,
+    rematerialise: bool = False,
 ) -> Params:
     """Eq. 2, N times: φ ← φ − α·∇L(φ), from φ = θ.
 
@@ -36,6 +37,8 @@ def adapt(
         step_size: α.
         steps: N ≥ 1.
         first_order: treat the inner gradients as constants, so that no second derivative is taken through φ(θ).
+        rematerialise: keep of each step only the φ it began with, and compute the rest again when differentiating:
+            the same numbers in less memory and more time.
 
     Raises:
         UpslopeError: N < 1.
@@ -51,6 +54,7 @@ def adapt(
         return descend(params, gradient, step_size), None
 
     # A few steps are written out, many are a loop: the program stays small.
+    step = jax.checkpoint(step) if rematerialise else step
     return jax.lax.scan(step, params, None, length=steps, unroll=steps if steps <= 4 else 1)[0]
 
 

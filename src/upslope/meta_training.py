@@ -144,6 +144,7 @@ class MetaTraining(AbstractTaskLearner):
             step_size=config.inner_step_size,
             steps=config.inner_steps,
             first_order=config.first_order,
+            rematerialise=config.rematerialise,
         )
         return self.distance_to_posterior(theta, phi, samples)
 

@@ -31,6 +31,8 @@ class MetaTrainingConfig:
         outer_target: whether gradients flow through Q_φ as the target of Eq. 7: "kept" (the literal reading, which
             collapses) or "stopped".
         first_order: with a kept target, whether second derivatives through φ(θ) are left out.
+        rematerialise: with a kept target, compute each inner step again when differentiating instead of keeping what it
+            made: the same numbers in less memory and more time.
         task_by_task: take the tasks' gradients one after the other instead of side by side: the same numbers in less
             memory, and many times faster on CPU where networks are convolutional.
         td_gradient: "semi" (TD targets are constants) or "full" (Eq. 5 differentiated on both sides).
@@ -65,6 +67,7 @@ class MetaTrainingConfig:
     outer_updates: int = 4
     outer_target: Literal["stopped", "kept"] = "stopped"
     first_order: bool = False
+    rematerialise: bool = False
     task_by_task: bool = False
     td_gradient: Literal["semi", "full"] = "semi"
     target_decay: float | None = 0.9

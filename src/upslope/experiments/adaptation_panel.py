@@ -7,7 +7,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
 from upslope.agents.adaptation_controls import CentredTD, FrozenPotential, OneOf
@@ -17,12 +17,14 @@ from upslope.experiments.keys import Purpose, key_for, keys_per_task
 from upslope.experiments.priors import Priors
 from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of
 from upslope.networks import DuelingQ
-from upslope.potentials import stack
 from upslope.run.loop import run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Task
+from upslope.types import Keys, Task
+
+#: α of every stop and task.
+Sizes = Float[np.ndarray, "stops tasks"]
 
 RULES: dict[str, UpdateRule] = {
     "algorithm2": AdvantageHead(centred=True),
@@ -76,7 +78,7 @@ def adaptation_panel(
     adaptation has something to do; the other stops are variants, named by their iteration. Tuning tasks come from a
     family of their own where one is given.
     """
-    starts = stack([priors.stopped_at(stop) for stop in panel.stops])
+    starts = jax.tree.map(lambda *leaves: np.stack(leaves), *[priors.stopped_at(stop) for stop in panel.stops])
     count = jax.tree.leaves(tasks)[0].shape[0]
     tuning_tasks = (family if tuning_family is None else tuning_family).sample_many(
         key_for(first_seed, Purpose.TUNING_TASKS), count
@@ -84,20 +86,24 @@ def adaptation_panel(
     found: dict[str, dict[str, Arm]] = {str(stop): {} for stop in panel.stops}
     zero_shot = np.zeros(len(panel.stops))
     compiling = running = 0.0
+
+    def adapt_all(number: int, tasks: Task, sizes: Sizes, purpose: Purpose, title: str) -> Outcome:
+        learners = adaptation_learners(family, starts, one_of(rules, number), config, tasks, sizes)
+        keys = adaptation_keys(first_seed, purpose, learners)
+        return run(learners, keys, updates=panel.updates, every=1, title=title, session=session, allow_divergence=True)
+
     for number, name in enumerate(rules):
-        rule = OneOf(tuple(rules.values()), jnp.asarray(number))
         # Learner t of the tuning runs tries step size t mod S on tuning task t: the test runs' shape, so one program.
-        sizes = jnp.asarray([panel.step_sizes[t % len(panel.step_sizes)] for t in range(count)])
-        tried = jnp.broadcast_to(sizes, (len(panel.stops), count))
-        args = (family, starts, rule, config, panel.updates, first_seed)
-        tuning = _adapt(*args, tuning_tasks, tried, Purpose.TUNING, f"tuning {name}", session)
+        sizes = np.asarray([panel.step_sizes[t % len(panel.step_sizes)] for t in range(count)])
+        tried = np.broadcast_to(sizes, (len(panel.stops), count))
+        tuning = adapt_all(number, tuning_tasks, tried, Purpose.TUNING, f"tuning {name}")
         scores = np.asarray(tuning.reports["return"])
         if number == 0:
             average = np.median if panel.average == "median" else np.mean
             zero_shot = average(scores[..., 0], axis=(1, 2))
         best = _best_sizes(scores, panel.step_sizes)
-        chosen = jnp.broadcast_to(jnp.asarray(best)[:, None], (len(panel.stops), count))
-        test = _adapt(*args, tasks, chosen, Purpose.LEFT, name, session)
+        chosen = np.broadcast_to(np.asarray(best)[:, None], (len(panel.stops), count))
+        test = adapt_all(number, tasks, chosen, Purpose.LEFT, name)
         for index, stop in enumerate(panel.stops):
             of_stop = {measure: values[index] for measure, values in test.reports.items()}
             found[str(stop)][name] = arm_of(test.updates, of_stop, score, {"step_size": best[index]})
@@ -109,33 +115,36 @@ def adaptation_panel(
     return Panel(title, found[shown], compiling, running, variants=found, notes=notes)
 
 
-def _adapt(
+def one_of(rules: Mapping[str, UpdateRule], number: int) -> OneOf:
+    """One of the rules, in the form that all share."""
+    return OneOf(tuple(rules.values()), jnp.asarray(number))
+
+
+def adaptation_learners(
     family: AbstractFamily,
     starts: DuelingQ,
     rule: UpdateRule,
     config: AdaptationConfig,
-    updates: int,
-    first_seed: int,
     tasks: Task,
-    step_sizes: Float[Array, "stops tasks"],
-    purpose: Purpose,
-    title: str,
-    session: Session | None,
-) -> Outcome:
-    """One rule from all stops ``[stops, seeds, ...]`` on all tasks ``[tasks, ...]``."""
+    step_sizes: Sizes,
+) -> Adaptation:
+    """One rule from all stops ``[stops, seeds, ...]`` on all tasks ``[tasks, ...]``: ``[stops, seeds, tasks]``."""
     stops, seeds = jax.tree.leaves(starts)[0].shape[:2]
-    count = step_sizes.shape[1]
-    batch = (stops, seeds, count)
-    learners = Adaptation(
+    batch = (stops, seeds, step_sizes.shape[1])
+    return Adaptation(
         family,
-        jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*batch, *leaf.shape[1:])), tasks),
-        jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[:, :, None], (*batch, *leaf.shape[2:])), starts),
-        jnp.broadcast_to(step_sizes[:, None], batch),
+        jax.tree.map(lambda leaf: np.broadcast_to(leaf, (*batch, *leaf.shape[1:])), tasks),
+        jax.tree.map(lambda leaf: np.broadcast_to(leaf[:, :, None], (*batch, *leaf.shape[2:])), starts),
+        jnp.asarray(np.broadcast_to(step_sizes[:, None], batch), jnp.float32),
         rule,
         config,
     )
-    keys = jnp.broadcast_to(keys_per_task(first_seed, seeds, count, purpose), batch)
-    return run(learners, keys, updates=updates, every=1, title=title, session=session, allow_divergence=True)
+
+
+def adaptation_keys(first_seed: int, purpose: Purpose, learners: Adaptation) -> Keys:
+    """The keys ``[stops, seeds, tasks]``; all stops share them."""
+    stops, seeds, count = learners.step_size.shape
+    return jnp.broadcast_to(keys_per_task(first_seed, seeds, count, purpose), (stops, seeds, count))
 
 
 def _best_sizes(scores: np.ndarray, step_sizes: tuple[float, ...]) -> list[float]:

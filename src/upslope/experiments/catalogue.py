@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from upslope.experiments.map_figures import draw_map_figures
 from upslope.experiments.plots import draw
 from upslope.experiments.report import print_summary, write_report
 from upslope.experiments.results import FigureResult, write_results
+from upslope.experiments.shipped_prior import ShippedPriorConfig, card, quick_shipped_prior, shipped_prior
 from upslope.experiments.studies import STUDIES, Study
 from upslope.experiments.theorem_plots import draw_theorems
 from upslope.experiments.theorems import TheoremsConfig, quick_theorems, tables, theorems
@@ -50,7 +52,7 @@ GRID_FIGURES: dict[str, Callable[[], GridFigureConfig]] = {
     "fig3": partial(GridFigureConfig, "clean"),
     "fig5": partial(GridFigureConfig, "obstacles"),
 }
-EXPERIMENTS = ("fig1", "fig2", "fig3", "fig4", "fig5", "theorems", "grid-readings", *STUDIES)
+EXPERIMENTS = ("fig1", "fig2", "fig3", "fig4", "fig5", "theorems", "grid-readings", "shipped-prior", *STUDIES)
 PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
 
 
@@ -114,6 +116,11 @@ def reproduce(
         proofs = quick_theorems(TheoremsConfig()) if is_quick else TheoremsConfig()
         proofs = replace(proofs, first_seed=first_seed, seeds=seeds or proofs.seeds, tasks=tasks or proofs.tasks)
         _reproduce_theorems(proofs, out, resume, console)
+    elif experiment == "shipped-prior":
+        shipped = quick_shipped_prior(ShippedPriorConfig()) if is_quick else ShippedPriorConfig()
+        shifted = shipped.first_seed + first_seed
+        shipped = replace(shipped, first_seed=shifted, seeds=seeds or shipped.seeds, tasks=tasks or shipped.tasks)
+        _reproduce_shipped_prior(shipped, out, resume, console)
     elif experiment in GRID_PRIORS:
         study_of_priors = GRID_PRIORS[experiment](**({} if iterations is None else {"iterations": iterations}))
         study_of_priors = quick_grid_priors(study_of_priors) if is_quick else study_of_priors
@@ -166,6 +173,17 @@ def _reproduce_theorems(config: TheoremsConfig, out: Path | None, resume: bool, 
         draw_theorems(results, folder)
     console.print(tables(results), highlight=False, soft_wrap=True)
     console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold]; the picture is {folder / 'figure.png'}.")
+
+
+def _reproduce_shipped_prior(config: ShippedPriorConfig, out: Path | None, resume: bool, console: Console) -> None:
+    with claimed(out, "shipped-prior", asdict(config), resume=resume) as folder:
+        prior, results = shipped_prior(config, session_in(folder, resume=resume, final_states=False))
+        prior.save(folder / "cartpole.safetensors", overwrite=resume)
+        results["sha256"] = sha256((folder / "cartpole.safetensors").read_bytes()).hexdigest()
+        write_atomically(folder / "cartpole.json", (json.dumps(results, indent=1) + "\n").encode())
+        write_atomically(folder / "cartpole.md", card(prior, results).encode())
+    console.print(card(prior, results), highlight=False, soft_wrap=True)
+    console.print(f"The prior, its card and its numbers are in [bold]{folder}[/bold].")
 
 
 def _reproduce_grid_priors(

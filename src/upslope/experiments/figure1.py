@@ -11,15 +11,33 @@ from upslope.agents.adaptation import AdaptationConfig
 from upslope.agents.ddpg import DDPGConfig
 from upslope.agents.dqn import DQNConfig
 from upslope.errors import UpslopeError
-from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
-from upslope.experiments.keys import Purpose, key_for
-from upslope.experiments.priors import describe_priors, mean_levels, meta_train_priors, oracles, zero_shot_returns
+from upslope.experiments.adaptation_panel import (
+    RULES,
+    AdaptationPanel,
+    adaptation_keys,
+    adaptation_learners,
+    adaptation_panel,
+    one_of,
+)
+from upslope.experiments.keys import Purpose, key_for, keys_per_task
+from upslope.experiments.priors import (
+    blank_priors,
+    describe_priors,
+    mean_levels,
+    meta_train_priors,
+    oracle_learners,
+    oracles,
+    zero_shot_returns,
+)
 from upslope.experiments.results import FigureResult, Panel
-from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
+from upslope.experiments.shaping_panel import shaping_arms, shaping_learners, shaping_panel
 from upslope.recipes import MetaTrainingConfig
+from upslope.run.ahead import Ahead
 from upslope.run.compiling import compile_clock
+from upslope.run.loop import expect
 from upslope.run.session import Session
-from upslope.tasks import cartpoles
+from upslope.tasks import JaxTasks, cartpoles
+from upslope.types import Task
 
 PanelName = Literal["left", "middle", "right"]
 
@@ -92,15 +110,18 @@ def figure1(
     """Runs the panels asked for. The same configuration gives bit-identical returns on one machine."""
     began = time.perf_counter()
     finished: dict[str, Panel] = {}
-    with compile_clock() as clock:
+    with compile_clock() as clock, Ahead() as ahead:
+        session = replace(session or Session(), ahead=ahead)
         family = cartpoles(config.length, gamma=config.gamma)
+        pushes = cartpoles(config.length, gamma=config.gamma, continuous=True)
         seed = config.first_seed
         tasks = family.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
+        _compile_ahead(config, panels, family, pushes, tasks, ahead)
         priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session)
         if "left" in panels:
             finished["left"] = adaptation_panel(family, priors, tasks, config.panel, config.adaptation, seed, session)
         if "middle" in panels or "right" in panels:
-            levels = mean_levels(family, priors.final, key_for(seed, Purpose.LEVEL))
+            levels = np.asarray(mean_levels(family, priors.final, key_for(seed, Purpose.LEVEL)))
             best = oracles(family, tasks, config.oracle, seed, session)
             arms = shaping_arms(family, priors.final, levels, best, config.tasks)
             if "middle" in panels:
@@ -118,7 +139,7 @@ def figure1(
             if "right" in panels:
                 finished["right"] = shaping_panel(
                     "Shaping only: DDPG",
-                    cartpoles(config.length, gamma=config.gamma, continuous=True),
+                    pushes,
                     tasks,
                     arms,
                     config.ddpg,
@@ -139,3 +160,23 @@ def figure1(
         seconds_compiling=clock.seconds,
         seconds_running=time.perf_counter() - began - clock.seconds,
     )
+
+
+def _compile_ahead(
+    config: Figure1Config, panels: Sequence[PanelName], family: JaxTasks, pushes: JaxTasks, tasks: Task, ahead: Ahead
+) -> None:
+    """The panels' programs, in the order in which they will be needed; each serves all arms of its panel."""
+    seed, blank = config.first_seed, blank_priors(family, config.meta_training, config.seeds)
+    if "left" in panels:
+        starts = blank_priors(family, config.meta_training, len(config.panel.stops), config.seeds)
+        sizes = np.zeros((len(config.panel.stops), config.tasks))
+        learners = adaptation_learners(family, starts, one_of(RULES, 0), config.adaptation, tasks, sizes)
+        expect(learners, adaptation_keys(seed, Purpose.LEFT, learners), ahead)
+    if "middle" in panels or "right" in panels:
+        expect(*oracle_learners(family, tasks, config.oracle, seed), ahead)
+        shaping = shaping_arms(family, blank, np.zeros(config.seeds), None, config.tasks)["prior"]
+        keys = keys_per_task(seed, config.seeds, config.tasks, Purpose.MIDDLE)
+        if "middle" in panels:
+            expect(shaping_learners(family, tasks, shaping, config.dqn), keys, ahead)
+        if "right" in panels:
+            expect(shaping_learners(pushes, tasks, shaping, config.ddpg), keys, ahead)

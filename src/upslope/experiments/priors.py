@@ -16,7 +16,7 @@ from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.tasks.jax_tasks import JaxTasks
-from upslope.types import Task
+from upslope.types import Keys, Task
 
 
 class Priors(NamedTuple):
@@ -77,17 +77,28 @@ def oracles(
 
     They are trained like the priors, on a family that always draws the one task.
     """
-    count = jax.tree.leaves(tasks)[0].shape[0]
-    learners = MetaTraining(family.only(tasks), config)
     outcome = run(
-        learners,
-        jax.random.split(key_for(first_seed, Purpose.ORACLE), count),
+        *oracle_learners(family, tasks, config, first_seed),
         updates=config.iterations,
         every=config.snapshot_every,
         title="oracles",
         session=session,
     )
     return _best(outcome, config)
+
+
+def oracle_learners(
+    family: JaxTasks, tasks: Task, config: MetaTrainingConfig, first_seed: int
+) -> tuple[MetaTraining, Keys]:
+    """What learns the oracles, and with which keys ``[tasks]``."""
+    count = jax.tree.leaves(tasks)[0].shape[0]
+    return MetaTraining(family.only(tasks), config), jax.random.split(key_for(first_seed, Purpose.ORACLE), count)
+
+
+def blank_priors(family: JaxTasks, config: MetaTrainingConfig, *batch: int) -> DuelingQ:
+    """Networks ``[*batch, ...]`` of the priors' shapes, all zero, for programs compiled before there are priors."""
+    state = jax.eval_shape(MetaTraining(family, config).init, jax.random.key(0))
+    return jax.tree.map(lambda leaf: np.zeros((*batch, *leaf.shape), leaf.dtype), state.average)
 
 
 def _best(outcome: Outcome, config: MetaTrainingConfig) -> DuelingQ:

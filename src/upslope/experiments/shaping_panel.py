@@ -1,9 +1,10 @@
 """Shaping only (Fig. 1, middle and right; Figs. 3 and 5, right): one learner with every potential, one program."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
@@ -30,12 +31,12 @@ class ShapingArm(NamedTuple):
 
     networks: DuelingQ
     scale: float
-    bias: jax.Array
+    bias: np.ndarray
     terminal_discount: float = 0.0
 
 
 def shaping_arms(
-    family: AbstractFamily, priors: DuelingQ, levels: jax.Array, oracles: DuelingQ | None, tasks: int
+    family: AbstractFamily, priors: DuelingQ, levels: np.ndarray, oracles: DuelingQ | None, tasks: int
 ) -> dict[str, Shaping]:
     """The arms of a shaping comparison whose potentials are networks.
 
@@ -52,14 +53,15 @@ def shaping_arms(
     def fill(networks: DuelingQ, axis: int) -> DuelingQ:
         """Networks along one axis of ``[seeds, tasks, K]``, repeated along the others."""
 
-        def spread(leaf: jax.Array) -> jax.Array:
+        def spread(leaf: Any) -> np.ndarray:
             lengths = [1, 1, 1]
             lengths[axis] = leaf.shape[0]
-            return jnp.broadcast_to(leaf.reshape(*lengths, *leaf.shape[1:]), (*shape, *leaf.shape[1:]))
+            array = np.asarray(leaf)
+            return np.broadcast_to(array.reshape(*lengths, *array.shape[1:]), (*shape, *array.shape[1:]))
 
         return jax.tree.map(spread, networks)
 
-    own, mean, none = fill(priors, 0), fill(priors, 2), jnp.zeros(seeds)
+    own, mean, none = fill(priors, 0), fill(priors, 2), np.zeros(seeds)
     arms = {
         "unshaped": ShapingArm(own, 0.0, none),
         "constant": ShapingArm(own, 0.0, levels),
@@ -106,12 +108,10 @@ def shaping_panel(
     finished: dict[str, Arm] = {}
     compiling = running = 0.0
     for name, shaping in arms.items():
-        seeds = jax.tree.leaves(shaping)[0].shape[0]
-        everywhere = jax.tree.map(lambda leaf, n=seeds: jnp.broadcast_to(leaf, (n, *leaf.shape)), tasks)
-        learner = _agent(family, everywhere, shaping, config)
+        learner = shaping_learners(family, tasks, shaping, config)
         outcome = run(
             learner,
-            keys_per_task(first_seed, seeds, count, purpose),
+            keys_per_task(first_seed, jax.tree.leaves(shaping)[0].shape[0], count, purpose),
             updates=updates,
             every=every,
             title=f"{stage or type(learner).__name__} {name}",
@@ -123,16 +123,21 @@ def shaping_panel(
     return Panel(title, finished, compiling, running)
 
 
+def shaping_learners(
+    family: AbstractFamily, tasks: Task, shaping: Shaping, config: DQNConfig | DDPGConfig
+) -> DQN | DDPG:
+    """An arm's agents ``[seeds, tasks]``, given its shaping ``[seeds, tasks, ...]``."""
+    seeds = jax.tree.leaves(shaping)[0].shape[0]
+    everywhere = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (seeds, *leaf.shape)), tasks)
+    if isinstance(config, DDPGConfig):
+        return DDPG(family, everywhere, shaping, config)
+    return DQN(family, everywhere, shaping, config)
+
+
 def _shaping(arm: ShapingArm, seeds: int, tasks: int) -> Shaping:
     """An arm's shaping for every learner ``[seeds, tasks]``."""
-    shape = (seeds, tasks)
-    potential = MeanPotential(
-        arm.networks, jnp.full(shape, arm.scale), jnp.broadcast_to(arm.bias[:, None], shape).astype(jnp.float32)
-    )
-    return Shaping(potential, jnp.full(shape, arm.terminal_discount))
 
+    def fill(numbers: Any) -> jax.Array:
+        return jnp.asarray(np.broadcast_to(np.asarray(numbers, np.float32), (seeds, tasks)))
 
-def _agent(family: AbstractFamily, tasks: Task, shaping: Shaping, config: DQNConfig | DDPGConfig) -> DQN | DDPG:
-    if isinstance(config, DDPGConfig):
-        return DDPG(family, tasks, shaping, config)
-    return DQN(family, tasks, shaping, config)
+    return Shaping(MeanPotential(arm.networks, fill(arm.scale), fill(arm.bias[:, None])), fill(arm.terminal_discount))

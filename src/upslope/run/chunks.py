@@ -3,18 +3,21 @@
 import math
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Int
 
 from upslope.learner import AbstractLearner, in_turn
-from upslope.run.compiling import QUICK_TO_COMPILE, QUICK_TO_RUN
+from upslope.run.compiling import ONE_THREAD, QUICK_TO_COMPILE, QUICK_TO_RUN
 from upslope.types import Key, Keys, Metrics
 
 _AXIS = "learners"
+
+#: Bounds of `at_a_time`.
+_FEWEST, _MOST = 8, 16
 
 
 def mesh(learners: int) -> Mesh:
@@ -58,6 +61,19 @@ class Chunk(NamedTuple):
     report: dict[str, Any]
 
 
+def compile(learners: AbstractLearner, keys: Keys) -> None:
+    """Compiles the programs that `start` and `advance` will look for. They must be laid out by `spread`."""
+    everywhere = mesh(keys.shape[0])
+    started = _start.lower(learners, keys, everywhere).compile()
+
+    def known(info: Any, sharding: Any) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(info.shape, info.dtype, sharding=sharding)
+
+    states, totals = jax.tree.map(known, started.out_info, started.output_shardings)
+    settings = (np.int32(0), np.bool_(False), np.bool_(False))
+    _advance_on(everywhere).lower(learners, states, totals, *settings, everywhere).compile()
+
+
 def start(learners: AbstractLearner, keys: Keys) -> tuple[Any, Metrics]:
     """The states ``[learners, ...]`` before the first step, and the metrics' sums, all zero."""
     return _start(learners, keys, mesh(keys.shape[0]))
@@ -79,7 +95,8 @@ def advance(learners: AbstractLearner, states: Any, totals: Metrics, steps: int,
         report: let every learner report at the end.
     """
     shared = mesh(_length(totals))
-    return _advance(learners, states, totals, jnp.asarray(steps), jnp.asarray(fresh), jnp.asarray(report), shared)
+    settings = (np.int32(steps), np.bool_(fresh), np.bool_(report))
+    return _advance_on(shared)(learners, states, totals, *settings, shared)
 
 
 def shapes(learners: AbstractLearner, keys: Keys) -> tuple[Any, Any, Any]:
@@ -133,24 +150,62 @@ def _length(batch: Any) -> int:
 
 
 def _mapped(function: Any, devices: Mesh, *inputs: Any) -> Any:
-    """The function over the learners' axis of every input, on each device for its own share of them."""
+    """A function of stacks of learners ``[learners, ...]``, on each device for its own share of them."""
     specs = jax.tree.map(lambda leaf: P(_AXIS) if jnp.ndim(leaf) else P(), inputs)
-    over_learners = _in_turn(function) if in_turn(inputs[0]) else jax.vmap(function, in_axes=_axes(inputs))
-    return jax.shard_map(over_learners, mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False)(*inputs)
+    return jax.shard_map(function, mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False)(*inputs)
 
 
-def _in_turn(function: Any) -> Any:
-    """The function of one learner after the other; 0-d leaves are shared by all."""
+def _start_stack(learners: AbstractLearner, keys: Keys) -> tuple[Any, Metrics]:
+    return jax.vmap(_start_one, in_axes=(_axes(learners), 0))(learners, keys)
 
-    def over_learners(*inputs: Any) -> Any:
-        own, shared = eqx.partition(inputs, lambda leaf: bool(jnp.ndim(leaf)))
-        return jax.lax.map(lambda one: function(*eqx.combine(one, shared)), own)
 
-    return over_learners
+def _advance_stack(learners: AbstractLearner, states: Any, totals: Metrics, *settings: Array) -> Chunk:
+    """A device's share of the learners, `at_a_time` of them after the others."""
+    count = jax.tree.leaves(totals)[0].shape[0]
+    size = at_a_time(learners, count)
+    side_by_side = jax.vmap(_advance_one, in_axes=(_axes(learners), 0, 0, None, None, None))
+    advance = _advance_alone if in_turn(learners) else side_by_side
+    if size == count:
+        return advance(learners, states, totals, *settings)
+
+    def one_block(block: Int[Array, ""], chunk: Chunk) -> Chunk:
+        def here(leaf: Array) -> Array:
+            return jax.lax.dynamic_slice_in_dim(leaf, block * size, size)
+
+        def there(old: Array, new: Array) -> Array:
+            return jax.lax.dynamic_update_slice_in_dim(old, new, block * size, 0)
+
+        own = jax.tree.map(lambda leaf: here(leaf) if jnp.ndim(leaf) else leaf, learners)
+        # In place: no second copy of all the replays is made.
+        return jax.tree.map(there, chunk, advance(own, *jax.tree.map(here, (chunk.states, chunk.totals)), *settings))
+
+    shapes = jax.eval_shape(side_by_side, learners, states, totals, *settings)
+    start = Chunk(states, totals, *_zeros((shapes.broken, shapes.report)))
+    return jax.lax.fori_loop(0, count // size, one_block, start)
+
+
+def _advance_alone(learners: AbstractLearner, states: Any, totals: Metrics, *settings: Array) -> Chunk:
+    """A stack of one learner, without the axis of the stack: no convolution is to be batched over it."""
+    one = jax.tree.map(lambda leaf: leaf[0] if jnp.ndim(leaf) else leaf, (learners, states, totals))
+    return jax.tree.map(lambda leaf: leaf[None], _advance_one(*one, *settings))
+
+
+def at_a_time(learners: AbstractLearner, count: int) -> int:
+    """How many of a device's learners take all steps of a chunk side by side; it divides their number.
+
+    On CPUs what some ten learners compute in a step stays in a core's own cache. With a hundred it does not, and the
+    cores get in each other's way. With fewer, starting the kernels is what costs; of convolutional learners one alone
+    fills the cache. Other devices take all at once.
+    """
+    if jax.default_backend() != "cpu":
+        return count
+    if in_turn(learners):
+        return 1
+    return max((size for size in range(_FEWEST, _MOST + 1) if count % size == 0), default=count)
 
 
 def _start_all(learners: AbstractLearner, keys: Keys, devices: Mesh) -> tuple[Any, Metrics]:
-    return _mapped(_start_one, devices, learners, keys)
+    return _mapped(_start_stack, devices, learners, keys)
 
 
 def _advance_all(
@@ -162,11 +217,16 @@ def _advance_all(
     report: Bool[Array, ""],
     devices: Mesh,
 ) -> Chunk:
-    return _mapped(_advance_one, devices, learners, states, totals, steps, fresh, report)
+    return _mapped(_advance_stack, devices, learners, states, totals, steps, fresh, report)
 
 
 # What runs once is compiled as fast as can be; what runs for long, well.
 _start = jax.jit(_start_all, static_argnames="devices", compiler_options=QUICK_TO_COMPILE)
-_advance = jax.jit(
-    _advance_all, static_argnames="devices", donate_argnames=("states", "totals"), compiler_options=QUICK_TO_RUN
+_advance_on_one, _advance_on_many = (
+    jax.jit(_advance_all, static_argnames="devices", donate_argnames=("states", "totals"), compiler_options=options)
+    for options in (QUICK_TO_RUN, QUICK_TO_RUN | ONE_THREAD)
 )
+
+
+def _advance_on(devices: Mesh) -> Any:
+    return _advance_on_many if devices.size > 1 else _advance_on_one

@@ -1,6 +1,7 @@
 """How programs are compiled here: quickly, once, and kept on disk; and how long that took."""
 
 import os
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,8 +13,14 @@ import jax
 #: LLVM's first level: these programs compile in 6 of 10 seconds, and run as fast as at the default level.
 QUICK_TO_RUN = {"xla_backend_optimization_level": 1}
 
+#: No threads within a matrix product: where every core has a device of its own they only get in each other's way.
+ONE_THREAD = {"xla_cpu_multi_thread_eigen": False}
+
 #: LLVM's lowest level, for programs that run once: it compiles faster still, and the program runs three times slower.
 QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}
+
+#: Recorded by who waits for a program that is compiled in the background.
+WAITING = "/upslope/compile/waiting_duration"
 
 _COMPILE_EVENTS = (
     "/jax/core/compile/jaxpr_trace_duration",
@@ -27,8 +34,9 @@ class CompileClock:
     """What was spent on tracing and compiling.
 
     Attributes:
-        spans: begin and end of every piece of that work, in seconds; pieces can lie within others.
-        programs: how many programs were compiled, or fetched from disk.
+        spans: begin and end of every piece of that work in the clock's own thread, and of every wait for another
+            thread's, in seconds; pieces can lie within others.
+        programs: how many programs were compiled, or fetched from disk, by all threads.
     """
 
     spans: list[tuple[float, float]] = field(default_factory=list)
@@ -46,14 +54,15 @@ class CompileClock:
 
 @contextmanager
 def compile_clock() -> Iterator[CompileClock]:
-    """Measures what JAX spends on compiling inside the ``with`` block."""
+    """Measures what this thread spends on compiling inside the ``with`` block, or on waiting for it."""
     clock = CompileClock()
+    own = threading.get_ident()
 
     def listen(event: str, duration_secs: float, **_: str | int) -> None:
-        if event in _COMPILE_EVENTS:
+        if event in (*_COMPILE_EVENTS, WAITING) and threading.get_ident() == own:
             now = time.perf_counter()
             clock.spans.append((now - duration_secs, now))
-            clock.programs += event == _COMPILE_EVENTS[-1]
+        clock.programs += event == _COMPILE_EVENTS[-1]
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:

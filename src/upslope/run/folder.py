@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import socket
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
@@ -77,8 +78,12 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _holder(lock: IO[str]) -> str:
-    lock.seek(0)
-    return lock.read(200).strip() or "another process"
+    for _ in range(20):
+        lock.seek(0)
+        if name := lock.read(200).strip():
+            return name
+        time.sleep(0.025)  # it is written a moment after the lock is taken
+    return "another process"
 
 
 def _check_empty(folder: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from upslope.errors import NotSavedError, UpslopeError
 from upslope.learner import AbstractLearner, AbstractTaskLearner
 from upslope.run import chunks, host_chunks
+from upslope.run.ahead import Ahead, shapes_of
 from upslope.run.checkpoints import Stage, describe
 from upslope.run.compiling import compile_clock
 from upslope.run.health import check_finite
@@ -60,11 +61,8 @@ def run(
     if session.checkpoints is not None:
         stage = session.checkpoints.stage(title, describe(learners, keys, updates, every))
     batch, count = keys.shape, math.prod(keys.shape)
-    on_host = isinstance(learners, AbstractTaskLearner) and learners.family.on_host
-    engine: Any = host_chunks if on_host else chunks
-    learners = jax.tree.map(lambda leaf: _flatten(leaf, batch, count, engine) if np.ndim(leaf) else leaf, learners)
-    learners, keys = engine.spread((learners, _flatten(unrolled(keys), batch, count, engine)))
     with compile_clock() as clock:
+        engine, learners, keys = _laid_out(learners, keys)
         going = _Run(
             engine, learners, keys, count, [0, *range(every, updates, every), updates], title, allow_divergence
         )
@@ -86,6 +84,18 @@ def run(
             for observer in session.observers:
                 observer.end()
     return going.outcome(batch, clock.seconds, time.perf_counter() - began, clock.programs)
+
+
+def expect(learners: AbstractLearner, keys: Keys, ahead: Ahead) -> None:
+    """Has the programs of a `run` compiled in the background, for learners that share it.
+
+    Args:
+        learners: as `run` takes them, of a compiled family; only shapes and settings count, not the numbers in them.
+        keys: likewise.
+        ahead: the background; the run's session must have the same.
+    """
+    engine, learners, keys = _laid_out(learners, keys)
+    ahead.submit(shapes_of((learners, keys)), lambda: engine.compile(learners, keys))
 
 
 class _Run:
@@ -138,6 +148,8 @@ class _Run:
             self._tell(session, index)
         if len(self.times) == len(self.marks):
             return
+        if session.ahead is not None:
+            session.ahead.wait(shapes_of((self.learners, self.keys)))
         if self.states is None:
             self.states, self.totals = self.engine.start(self.learners, self.keys)
         pace = Pace(1.0 if stage else math.inf)
@@ -210,12 +222,22 @@ def _along_marks(items: list[Any]) -> Any:
     return jax.tree.map(lambda *leaves: np.stack(leaves, 1), *items) if items else {}
 
 
-def _flatten(leaf: Any, batch: tuple[int, ...], count: int, engine: Any) -> Any:
-    """The batch axes as one, padded."""
-    return _pad(leaf.reshape(count, *leaf.shape[len(batch) :]), engine)
+def _laid_out(learners: AbstractLearner, keys: Keys) -> tuple[Any, AbstractLearner, Keys]:
+    """What drives the learners; the learners and their keys with one axis for all batch axes, padded and in place."""
+    batch, count = keys.shape, math.prod(keys.shape)
+    on_host = isinstance(learners, AbstractTaskLearner) and learners.family.on_host
+    engine: Any = host_chunks if on_host else chunks
+
+    def flatten(leaf: Any) -> Any:
+        # By NumPy, because JAX would compile a program for each shape.
+        leaf = leaf if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else np.asarray(leaf)
+        return _pad(leaf.reshape(count, *leaf.shape[len(batch) :]), engine)
+
+    learners = jax.tree.map(lambda leaf: flatten(leaf) if np.ndim(leaf) else leaf, learners)
+    return engine, *engine.spread((learners, flatten(unrolled(keys))))
 
 
 def _pad(leaf: Any, engine: Any) -> Any:
     """Repeats the last learner until the devices divide their number."""
     missing = -leaf.shape[0] % engine.devices(leaf.shape[0])
-    return jnp.concatenate([leaf, *[leaf[-1:]] * missing]) if missing else leaf
+    return leaf[np.minimum(np.arange(leaf.shape[0] + missing), leaf.shape[0] - 1)] if missing else leaf

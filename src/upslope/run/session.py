@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from upslope.run.ahead import Ahead
 from upslope.run.checkpoints import Checkpoints
 from upslope.run.observers import EventLog, Observer, ProgressBar
 
@@ -15,10 +16,12 @@ class Session:
     Attributes:
         observers: told of the start, of every report and of the end.
         checkpoints: None keeps nothing.
+        ahead: where programs are compiled in the background; None for those that compile when they are needed.
     """
 
     observers: Sequence[Observer] = ()
     checkpoints: Checkpoints | None = None
+    ahead: Ahead | None = None
 
 
 def session_in(folder: Path, *, resume: bool = False, final_states: bool = True) -> Session:

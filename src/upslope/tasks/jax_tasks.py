@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Key, Policy, Task, Transition
+from upslope.types import Key, Keys, Policy, Task, Transition
 
 
 class RunningEnvironments(eqx.Module):
@@ -68,16 +68,18 @@ class JaxTasks(AbstractFamily):
     def collect(
         self, key: Key, tasks: Task, running: RunningEnvironments, policy: Policy, steps: int
     ) -> tuple[RunningEnvironments, Transition]:
-        def one_step(running: RunningEnvironments, key: Key) -> tuple[RunningEnvironments, Transition]:
-            act_key, step_key = jax.random.split(key)
-            action = policy(act_key, running.obs)
-            obs, state, reward, terminated, _, info = self._step(step_key, running.state, action, tasks)
+        draws, act = _ahead(jax.random.split(key, steps), policy, running.obs)
+
+        def one_step(running: RunningEnvironments, drawn: Any) -> tuple[RunningEnvironments, Transition]:
+            noise, keys = drawn
+            action = act(noise, running.obs)
+            obs, state, reward, terminated, _, info = self._step(keys, running.state, action, tasks)
             # Truncation keeps the discount at γ: only a true end cuts the future off.
             discount = self.gamma * (1.0 - terminated)
             transition = Transition(running.obs, action, reward, discount, info["final_observation"])
             return RunningEnvironments(obs, state), transition
 
-        running, transitions = jax.lax.scan(one_step, running, jax.random.split(key, steps))
+        running, transitions = jax.lax.scan(one_step, running, draws)
         return running, jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), transitions)
 
     def rollout(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Transition:
@@ -88,21 +90,34 @@ class JaxTasks(AbstractFamily):
         reset_key, episode_key = jax.random.split(key)
         running = self.reset(reset_key, tasks)
         count = _count(tasks)
+        draws, act = _ahead(jax.random.split(episode_key, self.max_steps), policy, running.obs)
 
-        def one_step(carry: tuple, key: Key) -> tuple[tuple, None]:
+        def one_step(carry: tuple, drawn: Any) -> tuple[tuple, None]:
             running, alive, total = carry
-            act_key, step_key = jax.random.split(key)
-            action = policy(act_key, running.obs)
-            obs, state, reward, terminated, truncated, _ = self._step(step_key, running.state, action, tasks)
+            noise, keys = drawn
+            action = act(noise, running.obs)
+            obs, state, reward, terminated, truncated, _ = self._step(keys, running.state, action, tasks)
             total = total + alive * reward
             return (RunningEnvironments(obs, state), alive & ~(terminated | truncated), total), None
 
         start = (running, jnp.ones(count, bool), jnp.zeros(count))
-        (_, _, total), _ = jax.lax.scan(one_step, start, jax.random.split(episode_key, self.max_steps))
+        (_, _, total), _ = jax.lax.scan(one_step, start, draws)
         return total
 
-    def _step(self, key: Key, state: Any, action: Any, tasks: Task) -> tuple:
-        return jax.vmap(self.env.step)(jax.random.split(key, _count(tasks)), state, action, tasks)
+    def _step(self, keys: Keys, state: Any, action: Any, tasks: Task) -> tuple:
+        return jax.vmap(self.env.step)(keys, state, action, tasks)
+
+
+def _ahead(keys: Keys, policy: Policy, obs: Float[Array, "n *obs"]) -> tuple[tuple[Any, Keys], Callable[..., Any]]:
+    """What is drawn in each step, before the first: the policy's noise and the environments' keys ``[steps, n]``.
+
+    Returns:
+        The draws, and the policy, given one step's noise. Policies that are plain functions draw their own.
+    """
+    act_keys, step_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
+    step_keys = jax.vmap(lambda key: jax.random.split(key, obs.shape[0]))(step_keys)
+    noise, act = policy.ahead(act_keys, obs) if hasattr(policy, "ahead") else (act_keys, policy)
+    return (noise, step_keys), act
 
 
 def is_finite(family: AbstractFamily) -> bool:

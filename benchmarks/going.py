@@ -1,0 +1,45 @@
+"""A batch of learners that goes on for as long as it is told: the programs of `upslope.run`, without their loop."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from upslope.learner import AbstractLearner
+from upslope.run import chunks
+from upslope.run.randomness import unrolled
+from upslope.types import Keys
+
+
+class Going:
+    """Learners in the middle of their work.
+
+    Attributes:
+        count: how many, padding left out.
+    """
+
+    def __init__(self, learners: AbstractLearner, keys: Keys):
+        self.count = len(keys)
+        padded = jax.tree.map(lambda leaf: _pad(leaf) if np.ndim(leaf) else leaf, (learners, unrolled(keys)))
+        self._learners, keys = chunks.spread(padded)
+        self._states, self._totals = chunks.start(self._learners, keys)
+
+    def advance(self, steps: int) -> None:
+        """So many steps more, waited for."""
+        self._advance(steps, report=False)
+
+    def reports(self) -> dict[str, Any]:
+        """What they report now ``[count, ...]``."""
+        found = self._advance(0, report=True)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: self.count], found)
+
+    def _advance(self, steps: int, *, report: bool) -> dict[str, Any]:
+        chunk = chunks.advance(self._learners, self._states, self._totals, steps, fresh=False, report=report)
+        self._states, self._totals, told = jax.block_until_ready((chunk.states, chunk.totals, chunk.report))
+        return told
+
+
+def _pad(leaf: Any) -> Any:
+    missing = -leaf.shape[0] % chunks.devices(leaf.shape[0])
+    return jnp.concatenate([leaf, *[leaf[-1:]] * missing]) if missing else leaf

@@ -1,0 +1,77 @@
+"""Learners spread over one, two and four virtual devices learn the same."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+PROGRAM = """
+import json, sys
+import jax
+jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
+import numpy as np
+from upslope.agents.dqn import DQN, DQNConfig
+from upslope.meta_training import MetaTraining
+from upslope.recipes import MetaTrainingConfig
+from upslope.run.loop import broadcast, run
+from upslope.tasks import cartpoles
+
+family = cartpoles(max_steps=20)
+keys = jax.random.split(jax.random.key(0), 7)
+config = MetaTrainingConfig(
+    iterations=4, tasks=2, steps_per_task=10, batch_size=8, outer_updates=2, evaluation_tasks=1, evaluation_episodes=1
+)
+meta = run(broadcast(MetaTraining(family, config), (7,)), keys, updates=4, every=2)
+small = DQNConfig(batch_size=8, warmup_steps=8, replay_capacity=32, evaluation_episodes=1)
+tasks = family.sample_many(jax.random.key(1), 7)
+dqn = run(DQN(family, tasks, None, small), keys, updates=10, every=5)
+told = {}
+for name, outcome in (("meta", meta), ("dqn", dqn)):
+    told[name] = {"returns": outcome.reports["return"].tolist()}
+    told[name] |= {metric: values.tolist() for metric, values in outcome.metrics.items()}
+told["average"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(meta.states.average)]
+told["network"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(dqn.states.network)]
+told["devices"] = len(meta.flat_states.key.sharding.device_set)
+print(json.dumps(told))
+"""
+
+
+def learned_on(devices):
+    command = [sys.executable, "-c", PROGRAM, str(devices)]
+    environment = os.environ | {"JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return learned_on(1)
+
+
+@pytest.mark.parametrize("devices", [2, 4])
+def test_as_on_one_device(devices, alone):
+    """Seven learners are padded to eight."""
+    spread = learned_on(devices)
+    assert (alone["devices"], spread["devices"]) == (1, devices)
+    assert spread.keys() == alone.keys()
+    for name in ("meta", "dqn"):
+        assert spread[name].keys() == alone[name].keys()
+        for metric, values in alone[name].items():
+            np.testing.assert_allclose(spread[name][metric], values, rtol=1e-4, atol=1e-5, err_msg=f"{name}, {metric}")
+    for name in ("average", "network"):
+        for found, expected in zip(spread[name], alone[name], strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-5)
+
+
+def test_it_learned_something(alone):
+    losses = np.asarray(alone["meta"]["outer_loss"])
+    assert losses.shape == (7, 3)
+    assert (losses[:, 1:] > 0).all()
+    assert len({tuple(row) for row in alone["dqn"]["td_loss"]}) == 7, "every learner has its own key"
