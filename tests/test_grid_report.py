@@ -48,9 +48,7 @@ def test_findings(result):
     assert "0.90 and 0.45" in priors
     assert "first reaches 1 at update 25 with Algorithm 2 and never with MAML;" in left
     assert "the paper" not in left
-    assert (
-        "over all evaluations is 0.50 against 0.00 without shaping and 0.20 with a constant" in right
-    )
+    assert "over all evaluations is 0.50 against 0.00 without shaping and 0.20 with a constant" in right
     assert "(2.50 times)" in right
     assert "the prior of multi-task DQN 0.20, Manhattan distance 0.20, the oracle 0.20" in right
 
