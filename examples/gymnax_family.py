@@ -32,7 +32,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Meta-trains, and prints the median raw return over unseen links; an episode costs 1 for every step, 500 at most."""
+    """Meta-trains, and prints median raw returns over unseen links: minus the steps that it took, −500 at worst."""
     iterations, updates, links = (2, 20, 1) if options.quick else (options.iterations, options.updates, options.links)
     env, params = gymnax.make("Acrobot-v1")
 
@@ -54,7 +54,8 @@ def main(options: Options) -> None:
             )
             returns.append(outcome.reports["return"][0])
         median = np.median(returns, axis=0)
-        print(f"{'shaped' if shaped else 'unshaped'}: raw return {median.mean():.0f} on average, {median[-1]:.0f} at the end")
+        arm = "shaped" if shaped else "unshaped"
+        print(f"{arm}: raw return {median.mean():.0f} on average, {median[-1]:.0f} at the end")
 
 
 if __name__ == "__main__":

@@ -56,7 +56,9 @@ def train(options: Options, shaped: bool) -> float:
     envs.seed(0)
     raw.seed(0)
     policy = DiscreteQLearningPolicy(
-        model=Net(state_shape=4, action_shape=2, hidden_sizes=[32, 32]), action_space=pole().action_space, eps_training=0.1
+        model=Net(state_shape=4, action_shape=2, hidden_sizes=[32, 32]),
+        action_space=pole().action_space,
+        eps_training=0.1,
     )
     algorithm = DQN(policy=policy, optim=AdamOptimizerFactory(lr=1e-3), gamma=prior.gamma, target_update_freq=100)
     collector = Collector[CollectStats](algorithm, envs, VectorReplayBuffer(10_000, 1), exploration_noise=True)

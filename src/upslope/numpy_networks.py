@@ -48,9 +48,7 @@ def _torso(torso: MLP | ConvolutionalTorso) -> Callable[[np.ndarray], np.ndarray
 
 def _convolutional(torso: ConvolutionalTorso) -> Callable[[np.ndarray], np.ndarray]:
     scale = np.asarray(torso.scale, np.float32)
-    layers = [
-        (np.asarray(kernel), np.asarray(bias)) for kernel, bias in zip(torso.kernels, torso.biases, strict=True)
-    ]
+    layers = [(np.asarray(kernel), np.asarray(bias)) for kernel, bias in zip(torso.kernels, torso.biases, strict=True)]
     activate, dense = _ACTIVATIONS[torso.activation], _fully_connected(torso.dense)
 
     def call(obs: np.ndarray) -> np.ndarray:

@@ -72,7 +72,7 @@ def gymnax_tasks(
     obs = _check_signature(env, params, action_shape)
     observations, shape = _observations(env.observation_space(params), obs)
     return JaxTasks(
-        name=name or getattr(env, "name", type(env).__name__),
+        name=name or str(getattr(env, "name", type(env).__name__)),
         env=FittedEnvironment(env, observations, shape, action_shape),
         sample_params=sampler,
         gamma=float(gamma),
@@ -135,10 +135,10 @@ def _observations(space: Any, obs: Any) -> tuple[int, tuple[int, ...]]:
 
 
 def _scale(space: Any, shape: tuple[int, ...], given: Sequence[float] | None) -> tuple[float, ...]:
+    theirs: Any = getattr(space, "shape", None)
     bounds = []
     for side in ("low", "high"):
         bound = getattr(space, side, None)
-        theirs = getattr(space, "shape", None)
         is_told = bound is not None and theirs is not None and math.prod(theirs) == math.prod(shape)
         bounds.append(np.broadcast_to(np.asarray(bound), theirs).reshape(shape) if is_told else np.full(shape, np.inf))
     return scale_of(bounds[0], bounds[1], given)
