@@ -6,7 +6,7 @@ It takes the better part of an hour; started again, it goes on with the runs tha
 
 import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +26,25 @@ from upslope.run.machine import hardware, versions
 
 FOLDER = Path(__file__).parents[1] / "docs" / "data" / "clients"
 
-#: Environment steps of a run, and between its evaluations.
-STEPS: dict[str, tuple[int, int]] = {"DQN": (5000, 100), "PPO": (20_000, 500), "SAC": (4000, 100), "TD3": (4000, 100)}
+TUNING_SEEDS = range(100, 104)
 
-#: Stable-Baselines3's defaults but for sizes that suit a CartPole: one setting for all arms, tuned for none of them.
+#: Environment steps of a run, and between its evaluations.
+STEPS: dict[str, tuple[int, int]] = {"DQN": (4000, 100), "PPO": (20_000, 500), "SAC": (4000, 100), "TD3": (4000, 100)}
+
+#: Stable-Baselines3's defaults but for sizes that suit a CartPole.
 SMALL = {"buffer_size": 10_000, "learning_starts": 100}
+DQN = SMALL | {"learning_rate": 1e-3, "batch_size": 64, "train_freq": 1, "policy_kwargs": {"net_arch": [32, 32]}}
+
+#: What was tried for DQN on tuning poles, with ``--tuning``.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "target copied every 100 steps": DQN | {"target_update_interval": 100},
+    "soft target": DQN | {"target_update_interval": 1, "tau": 0.01},
+    "soft target, step size decayed": DQN | {"target_update_interval": 1, "tau": 0.01, "decays": True},
+}
+
+#: One setting for all arms. Of DQN's variants the one with the highest return over all arms; the others are untuned.
 SETTINGS: dict[str, dict[str, Any]] = {
-    "DQN": SMALL
-    | {
-        "learning_rate": 1e-3,
-        "batch_size": 64,
-        "train_freq": 1,
-        "target_update_interval": 100,
-        "policy_kwargs": {"net_arch": [32, 32]},
-    },
+    "DQN": VARIANTS["soft target, step size decayed"],
     "PPO": {"n_steps": 256, "policy_kwargs": {"net_arch": [32, 32]}},
     "SAC": SMALL | {"policy_kwargs": {"net_arch": [64, 64]}},
     "TD3": SMALL | {"policy_kwargs": {"net_arch": [64, 64]}},
@@ -53,9 +58,11 @@ class Options:
     algorithms: tuple[str, ...] = ("DQN", "SAC", "PPO")
     seeds: int = 10
     """Each with a pole of its own, its length drawn from U[0.25, 5] by the seed."""
-    first_seed: int = 500
+    first_seed: int = 600
     episodes: int = 5
     """Greedy ones on the raw environment at every evaluation, from the same starts each time."""
+    tuning: bool = False
+    """Instead: the variants of DQN on four poles of other seeds, written into ``tuning.jsonl``."""
     quick: bool = False
     """Two seeds and few steps, to see that all works."""
     out: Path = FOLDER
@@ -65,6 +72,9 @@ def main(options: Options) -> None:
     """Runs whatever is missing, seed by seed with all arms in turn, and writes the report."""
     torch.set_num_threads(1)
     options.out.mkdir(parents=True, exist_ok=True)
+    if options.tuning:
+        tune(options)
+        return
     path = options.out / "runs.jsonl"
     done = {run.name: run for run in read(path)}
     wanted = [
@@ -75,10 +85,9 @@ def main(options: Options) -> None:
     ]
     for algorithm, seed, arm in track(wanted, "runs"):
         if (algorithm, seed, arm) not in done:
-            run = learn(algorithm, seed, arm, options)
+            run = learn(algorithm, seed, arm, options, SETTINGS[algorithm])
             done[run.name] = run
-            with path.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(asdict(run)) + "\n")
+            append(path, run)
     about = {
         "settings": {name: SETTINGS[name] for name in options.algorithms},
         "episodes": options.episodes,
@@ -88,17 +97,35 @@ def main(options: Options) -> None:
     write_report([done[name] for name in wanted], about, options.out)
 
 
+def tune(options: Options) -> None:
+    """Mean returns of DQN's variants; all arms count, so that the choice favours none."""
+    path = options.out / "tuning.jsonl"
+    for seed in TUNING_SEEDS:
+        for variant, settings in VARIANTS.items():
+            for arm in ARMS:
+                if any(run.name == ("DQN", seed, arm) and run.variant == variant for run in read(path)):
+                    continue
+                run = learn("DQN", seed, arm, replace(options, quick=False), settings, variant)
+                append(path, run)
+                print(variant, arm, f"{run.length:.2f} m", f"{np.mean(run.returns):.0f}")
+
+
+def append(path: Path, run: Run) -> None:
+    """Adds a run to a file."""
+    with path.open("a", encoding="utf-8") as lines:
+        lines.write(json.dumps(asdict(run)) + "\n")
+
+
 def read(path: Path) -> list[Run]:
     """The runs of a file; a last line that was cut off is left out."""
     if not path.exists():
         return []
     whole = path.read_text(encoding="utf-8").rpartition("\n")[0]
-    if whole:
-        path.write_text(whole + "\n", encoding="utf-8")
+    path.write_text(whole + "\n" * bool(whole), encoding="utf-8")
     return [Run(**json.loads(line)) for line in whole.splitlines()]
 
 
-def learn(algorithm: str, seed: int, arm: str, options: Options) -> Run:
+def learn(algorithm: str, seed: int, arm: str, options: Options, settings: dict[str, Any], variant: str = "") -> Run:
     """One learner on one pole; its mean raw greedy return before any learning, and at every evaluation."""
     name = "upslope/CartPole-v0" if algorithm in ("DQN", "PPO") else "upslope/ContinuousCartPole-v0"
     length = float(np.random.default_rng(seed).uniform(0.25, 5.0))
@@ -111,11 +138,18 @@ def learn(algorithm: str, seed: int, arm: str, options: Options) -> Run:
     steps, every = (600, 200) if options.quick else STEPS[algorithm]
     began = time.perf_counter()
     learner = getattr(sb3, algorithm)
-    model = learner("MlpPolicy", env, gamma=prior.gamma, seed=seed, device="cpu", **SETTINGS[algorithm])
+    model = learner("MlpPolicy", env, gamma=prior.gamma, seed=seed, device="cpu", **with_schedule(settings))
     evaluation = GreedyReturns(gym.make_vec(name, options.episodes, length=length), every, seed)
     model.learn(steps, callback=evaluation)
     curve = evaluation.returns[: steps // every + 1]  # PPO goes on to the end of its last rollout
-    return Run(algorithm, seed, arm, length, every, curve, round(time.perf_counter() - began, 1))
+    return Run(algorithm, seed, arm, length, every, curve, round(time.perf_counter() - began, 1), variant)
+
+
+def with_schedule(settings: dict[str, Any]) -> dict[str, Any]:
+    """The settings, with the step size falling linearly to zero where they say so."""
+    plain = {name: value for name, value in settings.items() if name != "decays"}
+    size = settings.get("learning_rate")
+    return plain | {"learning_rate": lambda left: left * size} if settings.get("decays") else plain
 
 
 class GreedyReturns(BaseCallback):

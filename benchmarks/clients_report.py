@@ -27,6 +27,7 @@ class Run:
         every: steps between evaluations.
         returns: raw greedy returns, the first before any learning.
         seconds: of the run.
+        variant: of the settings, if they are not those of the benchmark.
     """
 
     algorithm: str
@@ -36,6 +37,7 @@ class Run:
     every: int
     returns: list[float]
     seconds: float
+    variant: str = ""
 
     @property
     def name(self) -> tuple[str, int, str]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from upslope.recipes import MetaTrainingConfig
     from upslope.run.checkpoints import Checkpoints
     from upslope.run.session import Session
-    from upslope.tasks import GymnasiumTasks, cartpoles, clean_maps, grid_games, obstacle_maps
+    from upslope.tasks import GymnasiumTasks, cartpoles, clean_maps, grid_games, gymnax_tasks, obstacle_maps
     from upslope.wrappers import PotentialShaping, check_shaping
 
 # Imported when first asked for: a simulator process that only shapes rewards never imports JAX.
@@ -31,6 +31,7 @@ _HOMES = {
     "cartpoles": "upslope.tasks",
     "clean_maps": "upslope.tasks",
     "grid_games": "upslope.tasks",
+    "gymnax_tasks": "upslope.tasks",
     "obstacle_maps": "upslope.tasks",
     "check_shaping": "upslope.wrappers",
     "load_prior": "upslope.pretrained",
@@ -52,6 +53,7 @@ __all__ = [
     "check_shaping",
     "clean_maps",
     "grid_games",
+    "gymnax_tasks",
     "load_prior",
     "meta_train",
     "obstacle_maps",

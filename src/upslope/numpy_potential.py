@@ -3,14 +3,14 @@
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
-from upslope.errors import UpslopeError
-from upslope.prior_file import TrainedOn, read_prior_file
+from upslope.numpy_convolution import convolve
+from upslope.prior_file import CHANNELS, TrainedOn, read_prior_file
 
 
 class NumpyPotential:
-    """Φ(s) = V_θ(s) of a saved prior, in float64; one observation costs a few microseconds.
+    """Φ(s) = V_θ(s) of a saved prior, in float64; one vector costs a few microseconds.
 
     Immutable, compared by value, and small: copies and pickles hold the parameters and nothing else.
 
@@ -38,8 +38,10 @@ class NumpyPotential:
         """γ that the potential was learned with, and that shaping by it needs."""
         return self.trained_on.gamma
 
-    def __call__(self, obs: Float[np.ndarray, "*obs"]) -> float:
+    def __call__(self, obs: Shaped[np.ndarray, "*obs"]) -> float:
         """Φ of one observation."""
+        if self._kernels:
+            return float(self.values(np.asarray(obs)[None])[0])
         features = obs
         # The vector form of `values`: without the batch axis numpy's calls cost half as much.
         for weight, bias in self._layers:
@@ -48,9 +50,14 @@ class NumpyPotential:
             self._activate(features, features)
         return float(self._head.dot(features)) + self._head_bias
 
-    def values(self, obs: Float[np.ndarray, "n *obs"]) -> Float[np.ndarray, "n"]:
+    def values(self, obs: Shaped[np.ndarray, "n *obs"]) -> Float[np.ndarray, "n"]:
         """Φ of a batch of observations."""
         features = np.asarray(obs, np.float64)
+        for kernel, bias in self._kernels:
+            features = convolve(features, kernel)
+            features += bias
+            self._activate(features, features)
+        features = features.reshape(len(features), -1)
         for weight, bias in self._layers:
             features = features @ weight.T
             features += bias
@@ -58,20 +65,26 @@ class NumpyPotential:
         return features @ self._head + self._head_bias
 
     def _prepare(self) -> None:
-        if len(self.trained_on.observation_shape) != 1:
-            raise UpslopeError(
-                "Plain numpy evaluates priors on vectors only, and this one is on observations of shape "
-                f"{self.trained_on.observation_shape}: load it with Prior.load instead."
-            )
+        """The parameters in double precision; the fixed scale of the inputs goes into the first layer's weights."""
+        about = self.trained_on
         tensors = {name: tensor.astype(np.float64) for name, tensor in self._tensors.items()}
-        names = [f"torso.layers.{i}" for i in range(len(self.trained_on.hidden))]
-        layers = [(tensors[f"{name}.weight"], tensors[f"{name}.bias"]) for name in names]
-        # The fixed scale of the inputs goes into the first layer's weights.
-        first, bias = layers[0]
-        self._layers = [(first * np.asarray(self.trained_on.observation_scale), bias), *layers[1:]]
+        scale = np.asarray(about.observation_scale)
+        is_image = len(about.observation_shape) == 3
+        prefix = "torso.dense.layers" if is_image else "torso.layers"
+        self._kernels: list[tuple[np.ndarray, np.ndarray]] = []
+        if is_image:
+            names = [(f"torso.kernels.{i}", f"torso.biases.{i}") for i in range(len(CHANNELS))]
+            self._kernels = [(tensors[kernel], tensors[bias]) for kernel, bias in names]
+            kernel, bias = self._kernels[0]
+            self._kernels[0] = (kernel * scale[:, None], bias)
+        names = [(f"{prefix}.{i}.weight", f"{prefix}.{i}.bias") for i in range(len(about.hidden))]
+        self._layers = [(tensors[weight], tensors[bias]) for weight, bias in names]
+        if not is_image:
+            weight, bias = self._layers[0]
+            self._layers[0] = (weight * scale, bias)
         self._head = tensors["value_head.weight"][0]
         self._head_bias = float(tensors["value_head.bias"][0])
-        self._activate = np.tanh if self.trained_on.activation == "tanh" else _relu
+        self._activate = np.tanh if about.activation == "tanh" else _relu
 
     def __getstate__(self) -> dict:
         return {"trained_on": self.trained_on, "_tensors": self._tensors}

@@ -66,10 +66,13 @@ class AbstractPolicy(eqx.Module):
         network = numpy_batch(self.network)
         if network is None:
             return None
-        noise = jax.tree.map(np.asarray, _noises(self, keys, shape))
+        leaves, structure = jax.tree.flatten(_noises(self, keys, shape))
+        # Taken apart at once: a PyTree of one step's noise costs as much to make as the network to evaluate.
+        steps = list(zip(*(np.asarray(leaf) for leaf in leaves), strict=True)) if leaves else [()] * len(keys)
+        noise = [jax.tree.unflatten(structure, row) for row in steps]
 
         def act(step: int, obs: np.ndarray) -> np.ndarray:
-            return self.choose(jax.tree.map(lambda leaf: leaf[step], noise), network(obs), np)
+            return self.choose(noise[step], network(obs), np)
 
         return act
 

@@ -12,6 +12,9 @@ from gymnasium.wrappers import FlattenObservation, RescaleAction
 
 from upslope.errors import UpslopeError
 
+#: The fully connected layer behind the kernels has 4,096 weights for each pixel.
+MOST_PIXELS = 64 * 64
+
 
 class TaskSlot(gym.Env):
     """Steps the environment of its task; a new task takes effect at the next reset.
@@ -95,18 +98,23 @@ def made(make_env: Callable[[Any], gym.Env], task: Any) -> gym.Env:
 
 
 def fitted(env: gym.Env) -> gym.Env:
-    """Observations as one vector of numbers; actions 0 to n − 1, or numbers in [−1, 1].
+    """Observations as one vector of numbers, or as an image; actions 0 to n − 1, or numbers in [−1, 1].
 
     Raises:
         UpslopeError: a space that can't be brought to that.
     """
     space, actions = env.observation_space, env.action_space
-    if not (isinstance(space, gym.spaces.Box) and len(space.shape) == 1):
+    if not (isinstance(space, gym.spaces.Box) and len(space.shape) in (1, 3)):
         if not space.is_np_flattenable:
             raise UpslopeError(
                 f"Observations of {space} can't be flattened: observe Box, Discrete, Dict or Tuple spaces."
             )
         env = FlattenObservation(env)
+    elif len(space.shape) == 3 and space.shape[0] * space.shape[1] > MOST_PIXELS:
+        raise UpslopeError(
+            f"Images of {space.shape[0]} × {space.shape[1]} pixels are too large for kernels without a stride: make "
+            f"them smaller with gymnasium.wrappers.ResizeObservation, {MOST_PIXELS} pixels at most."
+        )
     if isinstance(actions, gym.spaces.Discrete):
         return env if actions.start == 0 else gym.wrappers.TransformAction(
             env, lambda action: action + actions.start, gym.spaces.Discrete(int(actions.n))

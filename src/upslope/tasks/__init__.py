@@ -4,6 +4,7 @@ from upslope.tasks.cartpoles import cartpoles
 from upslope.tasks.family import AbstractFamily
 from upslope.tasks.grids import clean_maps, grid_games, obstacle_maps
 from upslope.tasks.gymnasium_tasks import GymnasiumTasks
+from upslope.tasks.gymnax_tasks import gymnax_tasks
 from upslope.tasks.jax_tasks import JaxTasks
 
 #: The families that the command line knows by name.
@@ -17,5 +18,6 @@ __all__ = [
     "cartpoles",
     "clean_maps",
     "grid_games",
+    "gymnax_tasks",
     "obstacle_maps",
 ]

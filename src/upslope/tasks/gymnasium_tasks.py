@@ -15,6 +15,7 @@ from upslope.errors import UpslopeError
 from upslope.tasks.abstract_evaluation import evaluated_abstractly
 from upslope.tasks.family import AbstractFamily
 from upslope.tasks.host_environments import Episodes, HostEnvironments, Mode
+from upslope.tasks.observation_scale import scale_of
 from upslope.tasks.task_protocol import of_protocol
 from upslope.types import Key, Policy, Task, Transition
 
@@ -32,8 +33,9 @@ class GymnasiumTasks(AbstractFamily):
     those of any family, and the sampler is asked again whenever an environment is needed. So it must give the same
     task for the same ``rng``.
 
-    Observations of any Box, Discrete, Dict or Tuple space become one vector of numbers; actions are Discrete, or a Box
-    of one axis with finite bounds, brought to [−1, 1].
+    Box observations of three axes are images ``[height, width, channels]``, and get a convolutional network; all
+    others of Box, Discrete, Dict or Tuple spaces become one vector of numbers. Actions are Discrete, or a Box of one
+    axis with finite bounds, brought to [−1, 1].
 
     Attributes:
         sample_task: draws one task with a NumPy generator.
@@ -71,7 +73,7 @@ class GymnasiumTasks(AbstractFamily):
             gamma: γ, of every task and of every potential learned here.
             name: of the state space; the environment's id by default.
             observation_scale: brings each observation to the order of one; by default from the bounds of the space,
-                where they are finite and below 100.
+                where they are finite and small. Of images, one for each channel.
             max_steps: the longest episode; the environment's own limit by default.
             mode: "sync" runs the environments in this process, "async" each in a process of its own (a script then
                 needs ``if __name__ == "__main__":``).
@@ -91,7 +93,7 @@ class GymnasiumTasks(AbstractFamily):
         self.continuous = isinstance(actions, gym.spaces.Box)
         self.actions = int(actions.shape[0]) if self.continuous else int(actions.n)
         self.observation_shape = tuple(space.shape)
-        self.observation_scale = _scale(space, observation_scale)
+        self.observation_scale = scale_of(space.low, space.high, observation_scale)
         self.max_steps = _limit(env, max_steps)
         env.close()
         float32 = gym.spaces.Box(-np.inf, np.inf, self.observation_shape, np.float32)
@@ -220,15 +222,6 @@ def _act_keys_of(key: Key, steps: int) -> Any:
 
 _act_keys = jax.jit(_act_keys_of, static_argnames="steps")
 _act = eqx.filter_jit(lambda policy, keys, step, obs: policy(keys[step], obs))
-
-
-def _scale(space: Any, given: Sequence[float] | None) -> tuple[float, ...]:
-    if given is not None:
-        if len(given) != space.shape[0] or not np.all(np.isfinite(given)):
-            raise UpslopeError(f"observation_scale has {len(given)} numbers: give {space.shape[0]} finite ones.")
-        return tuple(float(factor) for factor in given)
-    bound = np.maximum(np.abs(space.low), np.abs(space.high)).astype(np.float64)
-    return tuple(float(1 / b) if 0 < b < 100 else 1.0 for b in bound)
 
 
 def _limit(env: gym.Env, given: int | None) -> int:

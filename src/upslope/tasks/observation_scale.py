@@ -1,0 +1,34 @@
+"""What brings observations to the order of one, found from the bounds of their space."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Shaped
+
+from upslope.errors import UpslopeError
+
+#: Bounds up to here say how large the numbers are; the largest is that of images of bytes.
+_LARGEST = {1: 100.0, 3: 255.0}
+
+
+def scale_of(
+    low: Shaped[np.ndarray, "*obs"], high: Shaped[np.ndarray, "*obs"], given: Sequence[float] | None
+) -> tuple[float, ...]:
+    """One factor for each number of a vector, or for each channel of an image ``[height, width, channels]``.
+
+    Args:
+        low: smallest values.
+        high: largest values.
+        given: the factors, if they were given; else one over the bound where that is finite and small, and 1 elsewhere.
+
+    Raises:
+        UpslopeError: too few or too many factors, or such that are not finite.
+    """
+    bound = np.maximum(np.abs(low), np.abs(high)).astype(np.float64)
+    per_channel = bound.reshape(-1, bound.shape[-1]).max(axis=0)
+    if given is None:
+        largest = _LARGEST[bound.ndim]
+        return tuple(float(1 / size) if 0 < size <= largest else 1.0 for size in per_channel)
+    if len(given) != len(per_channel) or not np.all(np.isfinite(given)):
+        raise UpslopeError(f"observation_scale has {len(given)} numbers: give {len(per_channel)} finite ones.")
+    return tuple(float(factor) for factor in given)
