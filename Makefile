@@ -4,22 +4,23 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+TESTABLE := $(VENV)/.testable
 
 .PHONY: demo test test-slow reliability lint clean
 
 demo: $(INSTALLED) ## set up, and reproduce Figure 1 into a new folder under runs/
 	$(BIN)/upslope reproduce fig1
 
-test: $(INSTALLED) lint ## set up, and pass the fast tests
+test: $(TESTABLE) lint ## set up, and pass the fast tests
 	$(BIN)/pytest -n 2 --dist loadfile
 
-test-slow: $(INSTALLED) ## the learning checks, with real training
+test-slow: $(TESTABLE) ## the learning checks, with real training
 	$(BIN)/pytest -m slow
 
-reliability: $(INSTALLED) ## kills, signals, damaged files, full disks; ten minutes
+reliability: $(TESTABLE) ## kills, signals, damaged files, full disks; ten minutes
 	$(BIN)/python -m reliability
 
-lint: $(INSTALLED)
+lint: $(TESTABLE)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -27,8 +28,14 @@ lint: $(INSTALLED)
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable .
 	touch $(INSTALLED)
+
+# The tools, and other libraries' learners and environments; gymnax asks for an older Gymnasium than it needs.
+$(TESTABLE): $(INSTALLED)
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,clients]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --no-deps gymnax
+	touch $(TESTABLE)
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
