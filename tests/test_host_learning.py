@@ -148,3 +148,8 @@ def test_a_prior_meta_trained_on_gymnasium_s_own_environments_learns_to_balance(
         prior = upslope.meta_train(family, seed=seed, config=MetaTrainingConfig(iterations=150))
         returns.append(prior.trained_on.settings["return_on_training_tasks"])
     assert np.median(returns) > 100, returns
+
+
+def test_a_setting_of_the_simulator_is_no_task():
+    with pytest.raises(UpslopeError, match=r"what family\.sample\(key\) gives.*sample\(rng\) returns it"):
+        upslope.train(FAMILY, 1.0, updates=2, every=1, config=DQN_SMALL)

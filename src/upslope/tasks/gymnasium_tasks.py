@@ -199,7 +199,13 @@ class GymnasiumTasks(AbstractFamily):
         )
 
     def _tasks(self, tasks: Task) -> list[Any]:
-        return [self.task_of(words) for words in np.asarray(tasks)]
+        words = np.asarray(tasks)
+        if words.dtype != np.uint32 or words.ndim != 2:
+            raise UpslopeError(
+                "A task of a host family is what family.sample(key) gives, not the simulator's own setting: for a task "
+                "of your own, make a family whose sample(rng) returns it."
+            )
+        return [self.task_of(row) for row in words]
 
 
 def _drawn(sample: Callable[[np.random.Generator], Any], words: np.ndarray) -> Any:
