@@ -70,9 +70,10 @@ class AbstractPolicy(eqx.Module):
         # Taken apart at once: a PyTree of one step's noise costs as much to make as the network to evaluate.
         steps = list(zip(*(np.asarray(leaf) for leaf in leaves), strict=True)) if leaves else [()] * len(keys)
         noise = [jax.tree.unflatten(structure, row) for row in steps]
+        choose = type(self).choose  # looked up once: binding a method of a module costs more than the choice
 
         def act(step: int, obs: np.ndarray) -> np.ndarray:
-            return self.choose(noise[step], network(obs), np)
+            return choose(self, noise[step], network(obs), np)
 
         return act
 
