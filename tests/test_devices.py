@@ -55,7 +55,7 @@ def alone():
     return learned_on(1)
 
 
-@pytest.mark.parametrize("devices", [2, 4])
+@pytest.mark.parametrize("devices", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_as_on_one_device(devices, alone):
     """Seven learners are padded to eight."""
     spread = learned_on(devices)

@@ -25,15 +25,15 @@ RUNS = {
     "tianshou_dqn": ([], ("tianshou",)),  # in an environment of its own
 }
 
-#: What is left to the slow tier: they compile for long, or show nothing that another run does not.
-SLOW = {"own_family", "sbx_dqn", "gymnax_family", "sb3_continuous-TD3", "sb3_continuous-DDPG"}
+#: One that is run at every change; the others are left to the slow tier, and CI runs them apart.
+FAST = {"sb3_discrete-DQN"}
 
 
 def test_all_are_listed():
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {run.partition("-")[0] for run in RUNS}
 
 
-@pytest.mark.parametrize("run", [pytest.param(run, marks=[pytest.mark.slow] * (run in SLOW)) for run in RUNS])
+@pytest.mark.parametrize("run", [pytest.param(run, marks=[pytest.mark.slow] * (run not in FAST)) for run in RUNS])
 def test_it_runs(run):
     arguments, modules = RUNS[run]
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
