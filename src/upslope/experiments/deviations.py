@@ -10,11 +10,11 @@ import numpy as np
 
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import Priors, meta_train_priors, zero_shot_returns
+from upslope.experiments.results import circumstances
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy
 from upslope.recipes import MetaTrainingConfig, as_printed
 from upslope.run.compiling import compile_clock
-from upslope.run.machine import hardware, versions
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, cartpoles
 
@@ -72,7 +72,6 @@ def deviations(config: DeviationsConfig, session: Session | None = None) -> dict
     Per variant: the zero-shot return of each seed's prior on unseen tasks, and how much V varies over states of
     behaviour half random (its standard deviation: zero where the potential has collapsed or diverged).
     """
-    began = time.perf_counter()
     family = cartpoles()
     tasks = family.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
     rows = {}
@@ -100,11 +99,7 @@ def deviations(config: DeviationsConfig, session: Session | None = None) -> dict
     return {
         "figure": "deviations",
         "variants": rows,
-        "seconds_compiling": clock.seconds,
-        "seconds_running": time.perf_counter() - began - clock.seconds,
-        "versions": versions(),
-        "hardware": hardware(),
-        "configuration": asdict(config),
+        **circumstances(clock, asdict(config)),
     }
 
 

@@ -1,6 +1,5 @@
 """What the settings of DQN are worth on maps, to potentials that nobody learned: the record of how they were chosen."""
 
-import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -8,10 +7,9 @@ import jax.numpy as jnp
 
 from upslope.agents.dqn import DQNConfig, for_maps
 from upslope.experiments.keys import Purpose, key_for
-from upslope.experiments.results import SUCCESS
+from upslope.experiments.results import SUCCESS, circumstances
 from upslope.experiments.shaping_panel import shaping_panel
 from upslope.run.compiling import compile_clock
-from upslope.run.machine import hardware, versions
 from upslope.run.session import Session
 from upslope.shaping import Shaping
 from upslope.tasks import grid_games
@@ -55,7 +53,6 @@ def quick_grid_learners(config: GridLearnersConfig) -> GridLearnersConfig:
 
 def grid_learners(config: GridLearnersConfig, session: Session | None = None) -> dict[str, Any]:
     """Runs every setting with every arm, and returns the content of results.json."""
-    began = time.perf_counter()
     family = grid_games(split="train")
     rows: dict[str, dict[str, Any]] = {}
     with compile_clock() as clock:
@@ -86,9 +83,5 @@ def grid_learners(config: GridLearnersConfig, session: Session | None = None) ->
     return {
         "figure": "grid-learners",
         "variants": rows,
-        "seconds_compiling": clock.seconds,
-        "seconds_running": time.perf_counter() - began - clock.seconds,
-        "versions": versions(),
-        "hardware": hardware(),
-        "configuration": asdict(config),
+        **circumstances(clock, asdict(config)),
     }

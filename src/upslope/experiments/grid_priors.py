@@ -1,6 +1,5 @@
 """Priors of grid games over their training: how near V comes to V*, and what Algorithm 1's readings are worth."""
 
-import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -11,6 +10,7 @@ from jaxtyping import Array, Float
 
 from upslope.api import best_prior
 from upslope.experiments.keys import Purpose, key_for, keys_for
+from upslope.experiments.results import circumstances
 from upslope.measures import Truth, dead_units, feature_norm, measure_all, summarise, tables, truths
 from upslope.meta_training import MetaTraining, best_snapshot
 from upslope.networks import DuelingQ
@@ -19,7 +19,6 @@ from upslope.prior import Prior
 from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
 from upslope.run.compiling import compile_clock
 from upslope.run.loop import broadcast, run
-from upslope.run.machine import hardware, versions
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, clean_maps, obstacle_maps
@@ -104,7 +103,6 @@ def run_grid_priors(
     Returns:
         The content of results.json, and the priors of each reading, one per seed.
     """
-    began = time.perf_counter()
     family, unseen = families(config.maps)
     rows: dict[str, Any] = {}
     priors: dict[str, list[Prior]] = {}
@@ -128,16 +126,15 @@ def run_grid_priors(
         "figure": "grid priors",
         "maps": config.maps,
         "readings": rows,
-        "seconds_compiling": clock.seconds,
-        "seconds_running": time.perf_counter() - began - clock.seconds,
-        "versions": versions(),
-        "hardware": hardware(),
-        "configuration": {
-            "seeds": config.seeds,
-            "first_seed": config.first_seed,
-            "tasks": config.tasks,
-            "readings": {name: asdict(reading.config) for name, reading in config.readings.items()},
-        },
+        **circumstances(
+            clock,
+            {
+                "seeds": config.seeds,
+                "first_seed": config.first_seed,
+                "tasks": config.tasks,
+                "readings": {name: asdict(reading.config) for name, reading in config.readings.items()},
+            },
+        ),
     }
     return results, priors
 

@@ -1,18 +1,19 @@
 """What the settings of DQN and DDPG are worth to each arm, on tuning tasks: the record of how they were chosen."""
 
 import math
-import time
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
+
+import numpy as np
 
 from upslope.agents.ddpg import DDPGConfig
 from upslope.agents.dqn import DQNConfig
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import mean_levels, meta_train_priors
+from upslope.experiments.results import circumstances
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
-from upslope.run.machine import hardware, versions
 from upslope.run.session import Session
 from upslope.tasks import cartpoles
 
@@ -66,13 +67,12 @@ def quick_learners(config: LearnersConfig) -> LearnersConfig:
 
 def learners(config: LearnersConfig, session: Session | None = None) -> dict[str, Any]:
     """Runs every setting of both learners with every arm, and returns the content of its results.json."""
-    began = time.perf_counter()
     family = cartpoles()
     rows: dict[str, dict[str, Any]] = {}
     with compile_clock() as clock:
         tasks = family.sample_many(key_for(config.first_seed, Purpose.TUNING_TASKS), config.tasks)
         priors = meta_train_priors(family, config.meta_training, config.first_seed, config.seeds, session).final
-        levels = mean_levels(family, priors, key_for(config.first_seed, Purpose.LEVEL))
+        levels = np.asarray(mean_levels(family, priors, key_for(config.first_seed, Purpose.LEVEL)))
         arms = shaping_arms(family, priors, levels, None, config.tasks)
         chosen = {name: arms[name] for name in ARMS}
         for learner, actions, updates, variants in (
@@ -97,11 +97,7 @@ def learners(config: LearnersConfig, session: Session | None = None) -> dict[str
     return {
         "figure": "learners",
         "variants": rows,
-        "seconds_compiling": clock.seconds,
-        "seconds_running": time.perf_counter() - began - clock.seconds,
-        "versions": versions(),
-        "hardware": hardware(),
-        "configuration": asdict(config),
+        **circumstances(clock, asdict(config)),
     }
 
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from upslope.run.compiling import CompileClock
 from upslope.run.machine import hardware, versions
 from upslope.statistics import bootstrap, first_at_least, quartiles
 
@@ -155,6 +156,17 @@ class FigureResult:
             "hardware": hardware(),
             "configuration": self.configuration,
         }
+
+
+def circumstances(clock: CompileClock, configuration: dict[str, Any]) -> dict[str, Any]:
+    """What every results.json ends with: how long it took, with what and where, and everything that was set."""
+    return {
+        "seconds_compiling": clock.seconds,
+        "seconds_running": clock.seconds_running,
+        "versions": versions(),
+        "hardware": hardware(),
+        "configuration": configuration,
+    }
 
 
 def write_results(result: FigureResult, folder: Path) -> None:

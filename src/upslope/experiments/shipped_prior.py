@@ -1,6 +1,5 @@
 """The prior that ships for CartPoles: trained, chosen on training tasks, measured on fresh ones, and its card."""
 
-import time
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -11,11 +10,11 @@ import numpy as np
 from upslope.agents.dqn import DQNConfig
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import describe_priors, mean_levels, meta_train_priors, zero_shot_returns
+from upslope.experiments.results import circumstances
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
 from upslope.prior import Prior, trained_on
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
-from upslope.run.machine import hardware, versions
 from upslope.run.session import Session
 from upslope.tasks import cartpoles
 
@@ -59,7 +58,6 @@ def shipped_prior(config: ShippedPriorConfig, session: Session | None = None) ->
     Returns:
         The chosen prior, and the content of its results.json.
     """
-    began = time.perf_counter()
     family, seed = cartpoles(), config.first_seed
     with compile_clock() as clock:
         priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session)
@@ -82,7 +80,7 @@ def shipped_prior(config: ShippedPriorConfig, session: Session | None = None) ->
             )
         ]
         copies = jax.tree.map(lambda leaf: jnp.repeat(leaf[best : best + 1], config.seeds, axis=0), priors.final)
-        levels = mean_levels(family, copies, key_for(seed, Purpose.LEVEL))
+        levels = np.asarray(mean_levels(family, copies, key_for(seed, Purpose.LEVEL)))
         arms = shaping_arms(family, copies, levels, None, config.tasks)
         fresh = jax.tree.map(lambda leaf: leaf[: config.tasks], tasks)
         panel = shaping_panel(
@@ -105,11 +103,7 @@ def shipped_prior(config: ShippedPriorConfig, session: Session | None = None) ->
         "priors": rows,
         "level": float(levels[0]),
         "shaped_dqn": {name: arm.summary for name, arm in panel.arms.items()},
-        "seconds_compiling": clock.seconds,
-        "seconds_running": time.perf_counter() - began - clock.seconds,
-        "versions": versions(),
-        "hardware": hardware(),
-        "configuration": asdict(config),
+        **circumstances(clock, asdict(config)),
     }
 
 

@@ -1,6 +1,5 @@
 """How long Algorithm 2's second step should be, beside its first: on tuning tasks of both families."""
 
-import time
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -10,10 +9,9 @@ from upslope.experiments.grid_figures import GridFigureConfig
 from upslope.experiments.grid_priors import families
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import meta_train_priors
-from upslope.experiments.results import EPISODE_LENGTH, SUCCESS, Panel, Score
+from upslope.experiments.results import EPISODE_LENGTH, SUCCESS, Panel, Score, circumstances
 from upslope.recipes import MetaTrainingConfig, for_grid_games
 from upslope.run.compiling import compile_clock
-from upslope.run.machine import hardware, versions
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, cartpoles, grid_games
 
@@ -59,7 +57,6 @@ def quick_step_ratio(config: StepRatioConfig) -> StepRatioConfig:
 
 def step_ratio(config: StepRatioConfig, session: Session | None = None) -> dict[str, Any]:
     """Adapts with every ratio, each at its own best step size, and returns the content of results.json."""
-    began = time.perf_counter()
     rules: dict[str, UpdateRule] = {f"{ratio:g}": AdvantageHead(value_step=ratio) for ratio in config.ratios}
     figure = GridFigureConfig("obstacles")
     settings = {
@@ -85,11 +82,7 @@ def step_ratio(config: StepRatioConfig, session: Session | None = None) -> dict[
     return {
         "figure": "step-ratio",
         "variants": rows,
-        "seconds_compiling": clock.seconds,
-        "seconds_running": time.perf_counter() - began - clock.seconds,
-        "versions": versions(),
-        "hardware": hardware(),
-        "configuration": asdict(config),
+        **circumstances(clock, asdict(config)),
     }
 
 

@@ -37,10 +37,12 @@ class CompileClock:
         spans: begin and end of every piece of that work in the clock's own thread, and of every wait for another
             thread's, in seconds; pieces can lie within others.
         programs: how many programs were compiled, or fetched from disk, by all threads.
+        began: when the clock was started.
     """
 
     spans: list[tuple[float, float]] = field(default_factory=list)
     programs: int = 0
+    began: float = field(default_factory=time.perf_counter)
 
     @property
     def seconds(self) -> float:
@@ -50,6 +52,11 @@ class CompileClock:
             total += max(0.0, end - max(begin, covered))
             covered = max(covered, end)
         return total
+
+    @property
+    def seconds_running(self) -> float:
+        """All other wall-clock seconds by now, compiling apart."""
+        return time.perf_counter() - self.began - self.seconds
 
 
 @contextmanager

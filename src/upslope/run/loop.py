@@ -16,7 +16,7 @@ from upslope.learner import AbstractLearner, AbstractTaskLearner
 from upslope.run import chunks, host_chunks
 from upslope.run.ahead import Ahead, shapes_of
 from upslope.run.checkpoints import Stage, describe
-from upslope.run.compiling import compile_clock
+from upslope.run.compiling import CompileClock, compile_clock
 from upslope.run.health import check_finite
 from upslope.run.outcome import Outcome
 from upslope.run.pace import Pace
@@ -56,7 +56,6 @@ def run(
     if updates < 1 or every < 1:
         raise UpslopeError(f"{updates} updates, reported every {every}, can't be run: give at least 1 of each.")
     session = session or Session()
-    began = time.perf_counter()
     stage = None
     if session.checkpoints is not None:
         stage = session.checkpoints.stage(title, describe(learners, keys, updates, every))
@@ -77,13 +76,13 @@ def run(
                 with stop_requests() as request, request.deferred():
                     going.finish(session, stage, request)
         except NotSavedError as error:
-            error.outcome = going.outcome(batch, clock.seconds, time.perf_counter() - began, clock.programs)
+            error.outcome = going.outcome(batch, clock)
             raise
         finally:
             engine.close(learners)
             for observer in session.observers:
                 observer.end()
-    return going.outcome(batch, clock.seconds, time.perf_counter() - began, clock.programs)
+    return going.outcome(batch, clock)
 
 
 def expect(learners: AbstractLearner, keys: Keys, ahead: Ahead) -> None:
@@ -203,13 +202,15 @@ class _Run:
             states, totals, self.update, _along_marks(self.reports), _along_marks(self.metrics), np.asarray(self.times)
         )
 
-    def outcome(self, batch: tuple[int, ...], compiling: float, total: float, programs: int) -> Outcome:
+    def outcome(self, batch: tuple[int, ...], clock: CompileClock) -> Outcome:
         """What there is by now."""
         reports, metrics = jax.tree.map(
             lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), (_along_marks(self.reports), _along_marks(self.metrics))
         )
         updates = np.asarray(self.marks[: len(self.times)])
-        return Outcome(self.states, batch, updates, reports, metrics, compiling, total - compiling, programs)
+        return Outcome(
+            self.states, batch, updates, reports, metrics, clock.seconds, clock.seconds_running, clock.programs
+        )
 
 
 def broadcast(learner: AbstractLearner, batch: tuple[int, ...]) -> AbstractLearner:
