@@ -329,8 +329,13 @@ class TestSignals:
             signal.signal(signal.SIGTERM, previous)
 
     def test_without_checkpoints_signals_are_left_alone(self):
-        with pytest.raises(KeyboardInterrupt):
-            walk(observers=[Saboteur(2, send(signal.SIGINT))])
+        # A shell that starts the tests in the background has them ignore Ctrl-C.
+        previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            with pytest.raises(KeyboardInterrupt):
+                walk(observers=[Saboteur(2, send(signal.SIGINT))])
+        finally:
+            signal.signal(signal.SIGINT, previous)
 
     def test_outside_a_run_they_stop_at_once(self):
         with pytest.raises(InterruptedRunError, match="Stopped by SIGTERM"), stop_requests():
