@@ -124,6 +124,9 @@ class GymnasiumTasks(AbstractFamily):
         """
         return _drawn(self.sample_task, np.asarray(task))
 
+    def sample_many(self, key: Key, count: int) -> Task:
+        return _words(key, count)
+
     def reset(self, key: Key, tasks: Task) -> RunningHost:
         if evaluated_abstractly(key, tasks):
             return RunningHost(jnp.zeros((), jnp.int32))
@@ -169,15 +172,15 @@ class GymnasiumTasks(AbstractFamily):
     def _play(self, episodes: Episodes, key: Key, policy: Policy, steps: int) -> Transition:
         count = len(episodes.obs)
         act = self._acting(policy, key, count, steps)
-        shapes = self._shapes(count, steps, np)
+        played, terminated = self._shapes(count, steps, np), np.zeros((count, steps), bool)
+        obs, action, reward, _, next_obs = played  # looked up once: a module's attributes cost more than a write
         for step in range(steps):
-            shapes.obs[:, step] = episodes.obs
-            action = act(step, episodes.obs)
-            rewards, terminated, _, successors = episodes.step(action)
-            shapes.action[:, step], shapes.reward[:, step] = action, rewards
-            # Truncation keeps the discount at γ: only a true end cuts the future off.
-            shapes.discount[:, step], shapes.next_obs[:, step] = self.gamma * ~terminated, successors
-        return jax.tree.map(jnp.asarray, shapes)
+            obs[:, step] = shown = episodes.obs
+            action[:, step] = chosen = act(step, shown)
+            reward[:, step], terminated[:, step], _, next_obs[:, step] = episodes.step(chosen)
+        # Truncation keeps the discount at γ: only a true end cuts the future off.
+        played.discount[:] = self.gamma * ~terminated
+        return jax.tree.map(jnp.asarray, played)
 
     def _acting(self, policy: Policy, key: Key, count: int, steps: int) -> Callable[[int, np.ndarray], np.ndarray]:
         """The policy's actions by step, drawn with the keys that a compiled family would use."""
@@ -226,6 +229,7 @@ def _act_keys_of(key: Key, steps: int) -> Any:
     return jax.vmap(lambda key: jax.random.split(key)[0])(jax.random.split(key, steps))
 
 
+_words = jax.jit(lambda key, count: jax.random.key_data(jax.random.split(key, count)), static_argnums=1)
 _act_keys = jax.jit(_act_keys_of, static_argnames="steps")
 _act = eqx.filter_jit(lambda policy, keys, step, obs: policy(keys[step], obs))
 
