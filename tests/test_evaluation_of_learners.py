@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from support.plain_grids import from_text, pick
+from support.plain_grids import pick
 from upslope.agents.evaluation import exact_report, greedy_report
+from upslope.envs.map_text import read_map
 from upslope.measures import episode_values
 from upslope.planning import tabulate, value_iteration
 from upslope.policies import Greedy
@@ -41,7 +42,7 @@ def test_the_optimal_policy_earns_the_optimal_value():
 
 
 def test_an_episode_ends_after_its_steps():
-    task = from_text("S...G")
+    task = read_map("S...G")
     mdp = tabulate(grid_games((1, 5)).env, task, 0.9)
     right = jax.nn.one_hot(jnp.full(5, 3), 4)
     for steps, raw in ((3, 0.0), (4, 1.0)):
@@ -51,7 +52,7 @@ def test_an_episode_ends_after_its_steps():
 
 
 def test_a_trap_costs_its_penalty():
-    task = from_text("STG", penalty=0.5)
+    task = read_map("STG", trap_penalty=0.5)
     family = grid_games((1, 3), traps=0.1, gamma=0.8)
     report = exact_report(family, task, Greedy(lambda obs: jnp.asarray([0.0, 0.0, 0.0, 1.0])))
     assert float(report["return"]) == -0.5

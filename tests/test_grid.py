@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from support.plain_grids import as_board, draw, from_text, pick, plain_outcomes
+from support.plain_grids import as_board, draw, pick, plain_outcomes
 from upslope.envs.grid import GOAL, OBSTACLES, POSITION, START, TRAPS, GridGame, GridState
+from upslope.envs.map_text import read_map
 from upslope.tasks import grid_games
 
-SMALL = from_text("""
+SMALL = read_map("""
     S.#.
     .T..
     #..G
@@ -151,7 +152,7 @@ class TestObservations:
 
 
 class TestSlipping:
-    room = from_text("...\n...\n...\nS.G", slip=0.4)
+    room = read_map("...\n...\n...\nS.G", slip=0.4)
 
     def landings(self, action, count=4000):
         """How often each cell is reached from the middle of the room."""

@@ -8,8 +8,8 @@ import pytest
 from matplotlib.colors import to_rgba
 from matplotlib.quiver import Quiver
 
-from support.plain_grids import from_text
 from upslope.envs.grid import DOWN, RIGHT, GridGame
+from upslope.envs.map_text import read_map
 from upslope.experiments.grid_plots import (
     GOAL_COLOUR,
     START_COLOUR,
@@ -27,7 +27,7 @@ from upslope.experiments.grid_plots import (
 from upslope.measures import truths
 from upslope.networks import DuelingQ
 
-ONE = from_text("""
+ONE = read_map("""
     S.#
     T.G
 """)
@@ -91,7 +91,7 @@ def test_arrows_point_where_the_best_action_leads(learned):
 
 
 def test_learned_maps_carry_each_map_s_own_numbers(network):
-    other = from_text("..G\n#.S")
+    other = read_map("..G\n#.S")
     maps = jax.tree.map(lambda *leaves: np.stack(leaves), ONE, other)
     every = learned_maps(GAME, truths(GAME, maps, 0.9), maps, network, 50)
     observations = GAME.observe_all(other)

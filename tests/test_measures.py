@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from support.plain_grids import draw, from_text, pick
+from support.plain_grids import draw, pick
 from upslope.envs.grid import DOWN, RIGHT, GridGame
+from upslope.envs.map_text import read_map
 from upslope.measures import (
     Measures,
     action_optimality,
@@ -65,7 +66,7 @@ class TestFeatures:
 
 
 class TestGreedyPolicies:
-    one = from_text("""
+    one = read_map("""
         S..
         #..
         ..G
@@ -94,20 +95,20 @@ class TestGreedyPolicies:
         assert [float(measure(known, known.solution.value, right_then_down, steps=n).success) for n in (3, 4)] == [0, 1]
 
     def test_a_slippery_corridor_by_hand(self):
-        one = from_text("S.G", slip=0.4)
+        one = read_map("S.G", slip=0.4)
         known = truth(GridGame(1, 3, slippery=True), one, GAMMA)
         within = success(known.mdp, self.towards(RIGHT, RIGHT, DOWN), 3)
         # Two of three moves must go ahead, with 0.6 each.
         assert float(within[0]) == pytest.approx(0.6**2 + 2 * 0.6**2 * 0.4)
 
     def test_a_trap_is_no_success(self):
-        one = from_text("STG")
+        one = read_map("STG")
         known = truth(GridGame(1, 3, traps=True), one, GAMMA)
         found = measure(known, known.solution.value, self.towards(RIGHT, RIGHT, RIGHT), steps=50)
         assert (float(found.success), float(found.discounted_return)) == (0, -1)
 
     def test_states_from_which_nothing_can_be_reached_do_not_count(self):
-        one = from_text("S.G#.")
+        one = read_map("S.G#.")
         np.testing.assert_array_equal(truth(GridGame(1, 5), one, GAMMA).states, [True, True, False, False, False])
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from support.mdps import greedy_sets, random_mdp, solve
-from support.plain_grids import as_board, distances, draw, from_text, pick
+from support.plain_grids import as_board, distances, draw, pick
 from upslope.envs.grid import DOWN, LEFT, RIGHT, UP, GridGame
+from upslope.envs.map_text import read_map
 from upslope.planning import (
     TabularMDP,
     best_actions,
@@ -36,7 +37,7 @@ def table(mdp) -> TabularMDP:
 
 
 class TestByHand:
-    one = from_text("""
+    one = read_map("""
         S.#
         .#G
         ...
@@ -58,7 +59,7 @@ class TestByHand:
 
     def test_a_trap_is_walked_around(self):
         # Two ways to the goal: three steps through the trap, or five around it.
-        one = from_text("""
+        one = read_map("""
             ST.G
             ....
         """)
@@ -69,7 +70,7 @@ class TestByHand:
 
     def test_a_slippery_corridor(self):
         # Up and down stay in a corridor of one row, so a slip costs just time: V = (1 − p)/(1 − γp) one step away.
-        one = from_text("S.G", slip=0.4)
+        one = read_map("S.G", slip=0.4)
         found = value_iteration(tabulate(GridGame(1, 3, slippery=True), one, GAMMA))
         ahead = 0.6 / (1 - 0.4 * GAMMA)
         np.testing.assert_allclose(found.value, [GAMMA * ahead**2, ahead, 0], rtol=1e-5)
@@ -159,7 +160,7 @@ class TestInBulk:
             assert abs(int(every.iterations[index]) - int(alone.iterations)) <= 1
 
     def test_iterations_are_bounded(self):
-        mdp = tabulate(GridGame(1, 3), from_text("S.G"), GAMMA)
+        mdp = tabulate(GridGame(1, 3), read_map("S.G"), GAMMA)
         found = value_iteration(mdp, max_iterations=1)
         assert (int(found.iterations), float(found.residual)) == (1, 1.0)
         np.testing.assert_array_equal(found.value, [0, 1, 0])

@@ -1,4 +1,4 @@
-"""The registered environments: Gymnasium's own checks, pictures, and the very transitions of the compiled ones."""
+"""The registered CartPoles: Gymnasium's own checks, pictures, and the very transitions of the compiled ones."""
 
 import warnings
 

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from support.plain_grids import draw, from_text
+from support.plain_grids import draw
 from upslope.envs.grid import DOWN, LEFT, POSITION, RIGHT, UP, GridGame
+from upslope.envs.map_text import read_map
 from upslope.errors import UpslopeError
 from upslope.experiments.alternation import Tables, alternate, on_a_network, stable_ratio, tabular
 from upslope.experiments.credit_assignment import credit_assignment
@@ -54,7 +55,7 @@ class TestTheorem21:
 
     def test_a_bonus_for_coming_nearer_is_collected_for_ever(self):
         # Only progress counts: one step to and fro pays 0.4 every other step, for ever; the goal pays 1 and once.
-        mdp = tabulate(GridGame(1, 4), from_text("S..G"), GAMMA)
+        mdp = tabulate(GridGame(1, 4), read_map("S..G"), GAMMA)
         potential = jnp.asarray([-1.2, -0.8, -0.4, 0.0])
         right, *_, only_positive, _ = added_rewards(mdp, potential, 1.0)
         found = value_iteration(TabularMDP(mdp.successors, mdp.probabilities, only_positive, mdp.discounts, mdp.acting))
@@ -89,7 +90,7 @@ class TestTheorem31:
 
     def test_by_hand(self):
         # Φ = V* = 0.81, 0.9, 1, 0: ahead costs nothing, staying (γ − 1)·V*, going back γ·V*(s') − V*(s).
-        mdp = tabulate(GridGame(1, 4), from_text("S..G"), GAMMA)
+        mdp = tabulate(GridGame(1, 4), read_map("S..G"), GAMMA)
         found = immediate_rewards(shape_mdp(mdp, value_iteration(mdp).value))
         expected = np.zeros((4, 4))
         values = np.array([0.81, 0.9, 1.0])
@@ -123,7 +124,7 @@ class TestTheorem31:
 class TestGridPotentials:
     def test_manhattan_by_hand(self):
         family = grid_games((2, 3), obstacles=0.0)
-        one = from_text("S..\n..G")
+        one = read_map("S..\n..G")
         stacked = jax.tree.map(lambda leaf: leaf[None], one)
         found = manhattan_potential(family, stacked).values[0]
         np.testing.assert_allclose(found, [0.81, 0.9, 1.0, 0.9, 1.0, 0.0], rtol=1e-6)
@@ -140,7 +141,7 @@ class TestGridPotentials:
     def test_it_is_looked_up_where_one_stands(self, flat):
         potential = CellPotential(jnp.arange(6.0))
         game = GridGame(2, 3, flat=flat)
-        assert [float(potential(game.observe(from_text("S..\n..G"), jnp.asarray(cell)))) for cell in (0, 4)] == [0, 4]
+        assert [float(potential(game.observe(read_map("S..\n..G"), jnp.asarray(cell)))) for cell in (0, 4)] == [0, 4]
 
 
 def ring(states: int) -> TabularMDP:
@@ -168,7 +169,7 @@ class TestTheorem32:
 
     def test_the_optimum_is_a_fixed_point(self):
         with jax.enable_x64(True):
-            mdp = tabulate(GridGame(2, 3), from_text("S.#\n..G"), GAMMA)
+            mdp = tabulate(GridGame(2, 3), read_map("S.#\n..G"), GAMMA)
             best = value_iteration(mdp, tolerance=0.0)
             there = Tables(best.action_value - best.value[:, None], best.value)
             moved = alternate(mdp, there, 1.0)

@@ -29,21 +29,6 @@ def pick(maps, index):
     return jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), maps)
 
 
-def from_text(text: str, *, penalty=1.0, slip=0.0, max_steps=50) -> GridParams:
-    """A map drawn with S, G, # (obstacle), T (trap) and . (free)."""
-    rows = [list(line.strip()) for line in text.strip().splitlines()]
-    board = np.array(rows)
-    return GridParams(
-        jnp.asarray(board == "#"),
-        jnp.asarray(board == "T"),
-        jnp.asarray(np.flatnonzero(board == "S")[0], jnp.int32),
-        jnp.asarray(np.flatnonzero(board == "G")[0], jnp.int32),
-        jnp.asarray(penalty, jnp.float32),
-        jnp.asarray(slip, jnp.float32),
-        max_steps,
-    )
-
-
 def as_board(params: GridParams) -> list[list[str]]:
     """The map as rows of characters; the start counts as free."""
     obstacles, traps = np.asarray(params.obstacles), np.asarray(params.traps)

@@ -4,12 +4,18 @@ import gymnasium as gym
 
 #: Steps after which an episode is truncated, unless `gymnasium.make` is told otherwise.
 MAX_STEPS = 200
+MAX_STEPS_ON_MAPS = 50
 
-_ENTRY_POINT = "upslope.envs.gymnasium_cartpole:GymnasiumCartPole"
+_CARTPOLE = "upslope.envs.gymnasium_cartpole:GymnasiumCartPole"
+_GRID = "upslope.envs.gymnasium_grid:GymnasiumGrid"
 
 
 def register_environments() -> None:
-    """Registers ``upslope/CartPole-v0`` and ``upslope/ContinuousCartPole-v0``; a second call does nothing."""
-    for name, continuous in (("upslope/CartPole-v0", False), ("upslope/ContinuousCartPole-v0", True)):
+    """Registers ``upslope/CartPole-v0``, ``upslope/ContinuousCartPole-v0`` and ``upslope/Grid-v0``, once."""
+    for name, entry_point, limit, settings in (
+        ("upslope/CartPole-v0", _CARTPOLE, MAX_STEPS, {"continuous": False}),
+        ("upslope/ContinuousCartPole-v0", _CARTPOLE, MAX_STEPS, {"continuous": True}),
+        ("upslope/Grid-v0", _GRID, MAX_STEPS_ON_MAPS, {}),
+    ):
         if name not in gym.registry:
-            gym.register(name, entry_point=_ENTRY_POINT, max_episode_steps=MAX_STEPS, kwargs={"continuous": continuous})
+            gym.register(name, entry_point=entry_point, max_episode_steps=limit, kwargs=settings)
