@@ -76,7 +76,7 @@ class MetaTrainingConfig:
     reward_weight: float = 1.0
     advantage_weight: float = 0.0
     averaging: float = 0.97
-    select_from: float = 0.5
+    select_from: float = 0.2
     snapshot_every: int = 10
     evaluation_tasks: int = 20
     evaluation_episodes: int = 3

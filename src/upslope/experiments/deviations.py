@@ -39,6 +39,7 @@ VARIANTS: dict[str, tuple[str, MetaTrainingConfig]] = {
     "8": ("ReLU", replace(RECIPE, activation="relu")),
     "9": ("no average of θ", replace(RECIPE, averaging=0.0)),
     "10": ("no selection among snapshots", replace(RECIPE, select_from=1.0)),
+    "10b": ("selection from the second half only", replace(RECIPE, select_from=0.5)),
     "11": ("full gradient of Eq. 5", replace(RECIPE, td_gradient="full")),
     "12": ("N = 3 inner steps", replace(RECIPE, inner_steps=3)),
 }

@@ -73,7 +73,7 @@ class Figure1Config:
     meta_training: MetaTrainingConfig = field(default_factory=MetaTrainingConfig)
     oracle: MetaTrainingConfig = field(
         default_factory=lambda: MetaTrainingConfig(
-            iterations=1000, tasks=5, steps_per_task=100, snapshot_every=50, evaluation_tasks=2
+            iterations=1000, tasks=5, steps_per_task=100, snapshot_every=50, evaluation_tasks=2, select_from=0.5
         )
     )
     panel: AdaptationPanel = field(default_factory=AdaptationPanel)
