@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from upslope.convolution import FORMS, fastest_form, lax_convolution
+from upslope.convolution import FORMS, convolve, fastest_form, lax_convolution
 
 OTHERS = sorted(set(FORMS) - {"lax"})
 SHAPES = [(2, 5, 6, 3, 4), (1, 1, 1, 2, 3), (3, 1, 4, 1, 2), (2, 2, 2, 4, 1)]
@@ -111,3 +111,57 @@ def test_the_form_is_chosen_by_back_end():
     assert fastest_form("cpu") == "patches"
     assert fastest_form("never heard of") == "patches"
     assert fastest_form() in FORMS
+
+
+class TestPrecision:
+    """On a CPU factors are rounded: what they then give is known to the last bit of a float64."""
+
+    @pytest.mark.parametrize(("precision", "bits"), [("tensorfloat32", 10), ("bfloat16", 7)])
+    def test_one_product_is_that_of_rounded_factors(self, precision, bits):
+        image, kernel = jnp.full((1, 1, 1, 1), np.pi), jnp.zeros((3, 3, 1, 1)).at[1, 1].set(np.e)
+
+        def rounded(number):
+            return round(number * 2 ** (bits - 1)) / 2 ** (bits - 1)  # π and e lie between 2 and 4
+
+        value, gradients = jax.value_and_grad(
+            lambda *both: jnp.sum(np.sqrt(5) * convolve(*both, "patches", precision)), (0, 1)
+        )(image, kernel)
+        assert float(value) == pytest.approx(np.sqrt(5) * rounded(np.pi) * rounded(np.e), rel=1e-15)
+        # The cotangent √5 is a factor too, and what comes back through a rounding is rounded.
+        assert float(gradients[0].ravel()[0]) == pytest.approx(rounded(np.sqrt(5)) * rounded(np.e), rel=2.0**-bits)
+        assert float(gradients[1][1, 1, 0, 0]) == pytest.approx(rounded(np.sqrt(5)) * rounded(np.pi), rel=2.0**-bits)
+
+    @pytest.mark.parametrize("form", sorted(FORMS))
+    @pytest.mark.parametrize(("precision", "distance"), [("tensorfloat32", 2.0**-9), ("bfloat16", 2.0**-6)])
+    def test_values_and_derivatives_lie_near_the_exact_ones(self, form, precision, distance):
+        images, kernel = images_and_kernel((2, 5, 6, 3, 4))
+        images = images.astype(jnp.float32)
+        kernel = kernel.astype(jnp.float32)
+
+        def both(precision):
+            def loss(images, kernel):
+                return jnp.sum(convolve(images, kernel, form, precision) ** 2)
+
+            return jax.value_and_grad(loss, (0, 1))(images, kernel)
+
+        (exact, exact_slopes), (value, slopes) = both("float32"), both(precision)
+        assert value != exact
+        assert float(value) == pytest.approx(float(exact), rel=2 * distance)
+        for slope, exact_slope in zip(slopes, exact_slopes, strict=True):
+            off = jnp.linalg.norm(slope - exact_slope) / jnp.linalg.norm(exact_slope)
+            assert 0 < off < 2 * distance
+
+    @pytest.mark.parametrize(
+        ("precision", "said"),
+        [("float32", "HIGHEST"), ("tensorfloat32", "tf32"), ("bfloat16", "bf16")],
+    )
+    def test_gpus_are_told_how_to_multiply(self, precision, said):
+        images, kernel = (part.astype(jnp.float32) for part in images_and_kernel((2, 5, 6, 3, 4)))
+
+        def loss(images, kernel):
+            return jnp.sum(convolve(images, kernel, "patches", precision, backend="gpu") ** 2)
+
+        lowered = jax.jit(jax.grad(loss, (0, 1))).trace(images, kernel).lower(lowering_platforms=("cuda",))
+        products = [line for line in lowered.as_text().splitlines() if "dot_general" in line]
+        assert len(products) >= 3
+        assert all(said in line for line in products)

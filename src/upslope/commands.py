@@ -30,8 +30,8 @@ class Reproduce:
     figure: Positional[str]
     """fig1 to fig5; theorems (the paper's, checked on thousands of maps); all of these; or a study: deviations (what
     each difference from the paper is worth), learners and grid-learners (what their settings are worth), grid-readings
-    (what Algorithm 1's are worth on maps), step-ratio (how long Algorithm 2's second step should be); or shipped-prior
-    (the prior of the package, with its card)."""
+    (what Algorithm 1's are worth on maps), grid-precisions (what fewer bits do to it), step-ratio (how long Algorithm
+    2's second step should be); or shipped-prior (the prior of the package, with its card)."""
     out: Path | None = None
     """Folder for the results; it must be empty. A new one under runs/ by default."""
     quick: bool = False
@@ -45,7 +45,7 @@ class Reproduce:
     panels: tuple[Literal["left", "middle", "right"], ...] = ("left", "middle", "right")
     """Which panels."""
     iterations: int | None = None
-    """Of meta-training, for fig2 to fig5 and grid-readings; fewer than the recipe's 6,000 make weaker priors."""
+    """Of meta-training, for fig2 to fig5, grid-readings and grid-precisions; fewer than the recipe's 6,000 make weaker priors."""
     resume: bool = False
     """Go on with the run in --out, which was stopped."""
 

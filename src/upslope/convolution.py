@@ -6,8 +6,9 @@ make it a grouped convolution, which is slower still. Matrix products have neith
 ``python -m benchmarks.meta_gradient`` measures all of it.
 """
 
+import functools
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,8 @@ from jaxtyping import Array, Float
 Images = Float[Array, "*batch height width _"]
 Kernel = Float[Array, "3 3 inputs outputs"]
 Convolution = Literal["lax", "shifts", "patches", "closed"]
+Precision = Literal["float32", "tensorfloat32", "bfloat16"]
+PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
 
 def lax_convolution(images: Images, kernel: Kernel) -> Images:
@@ -93,6 +96,54 @@ def fastest_form(backend: str | None = None) -> Convolution:
     Where nothing was measured yet, that is one product with patches: it batches well everywhere.
     """
     return FASTEST.get(backend or jax.default_backend(), "patches")
+
+
+#: Bits of a factor's mantissa; sums are float32 in any case. And JAX's names of what GPUs do so fast.
+_MANTISSAS: dict[Precision, int] = {"float32": 23, "tensorfloat32": 10, "bfloat16": 7}
+_ON_GPUS: dict[Precision, str] = {
+    "float32": "highest",
+    "tensorfloat32": "TF32_TF32_F32",
+    "bfloat16": "BF16_BF16_F32",
+}
+
+
+def convolve(
+    images: Images, kernel: Kernel, form: Convolution, precision: Precision = "float32", backend: str | None = None
+) -> Images:
+    """The convolution in one of its forms, its factors, forwards and backwards, with as many bits as said.
+
+    GPUs multiply faster with fewer bits. Elsewhere factors are rounded, which costs time, and shows what fewer bits do
+    to learning.
+
+    Args:
+        images: ``[..., height, width, inputs]``.
+        kernel: ``[3, 3, inputs, outputs]``.
+        form: a name in `FORMS`.
+        precision: of the factors.
+        backend: JAX's default one if None.
+    """
+    if (backend or jax.default_backend()) == "gpu":
+        with jax.default_matmul_precision(_ON_GPUS[precision]):  # what is differentiated inherits it
+            return FORMS[form](images, kernel)
+    if precision == "float32":
+        return FORMS[form](images, kernel)
+    bits = _MANTISSAS[precision]
+    return _rounding_cotangents(FORMS[form](_rounded(images, bits), _rounded(kernel, bits)), bits)
+
+
+def _rounded(numbers: Array, bits: int) -> Array:
+    return jax.lax.reduce_precision(numbers, exponent_bits=8, mantissa_bits=bits)
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
+def _rounding_cotangents(images: Images, bits: int) -> Images:
+    """The images as they are; what comes back through them is rounded, being a factor of the gradients' products."""
+    return images
+
+
+_rounding_cotangents.defvjp(
+    lambda images, bits: (images, None), lambda bits, _, cotangents: (_rounded(cotangents, bits),)
+)
 
 
 def _windows(images: Images) -> list[Images]:

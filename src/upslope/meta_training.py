@@ -66,6 +66,7 @@ class MetaTraining(AbstractTaskLearner):
             config.hidden,
             family.observation_scale,
             config.activation,
+            config.precision,
         )
         return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta))
 

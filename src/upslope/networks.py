@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from upslope.convolution import FORMS, Convolution, fastest_form
+from upslope.convolution import PRECISIONS, Convolution, Precision, convolve, fastest_form
 from upslope.errors import UpslopeError
 from upslope.losses import dueling_q
 from upslope.prior_file import CHANNELS
@@ -61,6 +61,7 @@ class ConvolutionalTorso(eqx.Module):
         biases: of each layer.
         dense: the fully connected layers, on the flattened maps.
         convolution: which form of the convolution; all are equal but for speed, and no part of what is saved.
+        precision: of its factors; no part of what is saved either.
     """
 
     kernels: tuple[Float[Array, "..."], ...]
@@ -69,6 +70,7 @@ class ConvolutionalTorso(eqx.Module):
     scale: Scale = eqx.field(static=True)
     activation: Activation = eqx.field(static=True)
     convolution: Convolution = eqx.field(static=True)
+    precision: Precision = eqx.field(static=True, default="float32")
 
     @property
     def hidden(self) -> Hidden:
@@ -77,9 +79,9 @@ class ConvolutionalTorso(eqx.Module):
 
     def __call__(self, inputs: Float[Array, "height width channels"]) -> Float[Array, "features"]:
         images = inputs * jnp.asarray(self.scale, inputs.dtype)
-        convolve = FORMS[self.convolution]
         for kernel, bias in zip(self.kernels, self.biases, strict=True):
-            images = ACTIVATIONS[self.activation](convolve(images, kernel) + bias)
+            maps = convolve(images, kernel, self.convolution, self.precision) + bias
+            images = ACTIVATIONS[self.activation](maps)
         return self.dense(images.ravel())
 
 
@@ -91,8 +93,15 @@ def convolutional_torso(
     activation: Activation = "relu",
     *,
     channels: Hidden = CHANNELS,
+    precision: Precision = "float32",
 ) -> ConvolutionalTorso:
-    """A fresh torso for maps of ``(height, width, channels)``, with the fastest form of the convolution."""
+    """A fresh torso for maps of ``(height, width, channels)``, with the fastest form of the convolution.
+
+    Raises:
+        UpslopeError: an unknown precision.
+    """
+    if precision not in PRECISIONS:
+        raise UpslopeError(f"There is no precision {precision!r}: choose {', '.join(PRECISIONS)}.")
     height, width, inputs = shape
     keys = jax.random.split(key, len(channels) + 1)
     # He's initialisation: at the scale of fully connected layers' default a map would fade from layer to layer.
@@ -105,11 +114,17 @@ def convolutional_torso(
         scale=scale if scale is not None else (1.0,) * inputs,
         activation=activation,
         convolution=fastest_form(),
+        precision=precision,
     )
 
 
 def torso_for(
-    key: Key, inputs: int | Shape, hidden: Hidden, scale: Scale | None, activation: Activation = "relu"
+    key: Key,
+    inputs: int | Shape,
+    hidden: Hidden,
+    scale: Scale | None,
+    activation: Activation = "relu",
+    precision: Precision = "float32",
 ) -> MLP | ConvolutionalTorso:
     """What suits the observations: fully connected for vectors, convolutional for maps ``(height, width, channels)``.
 
@@ -120,7 +135,7 @@ def torso_for(
     if len(shape) == 1:
         return MLP(key, shape[0], hidden, scale, activation)
     if len(shape) == 3:
-        return convolutional_torso(key, shape, hidden, scale, activation)
+        return convolutional_torso(key, shape, hidden, scale, activation, precision=precision)
     raise UpslopeError(f"No network takes observations of shape {shape}: make them vectors, or maps with channels.")
 
 
@@ -143,9 +158,10 @@ class DuelingQ(eqx.Module):
         hidden: Hidden = (32, 32),
         scale: Scale | None = None,
         activation: Activation = "relu",
+        precision: Precision = "float32",
     ):
         torso_key, value_key, advantage_key = jax.random.split(key, 3)
-        self.torso = torso_for(torso_key, inputs, hidden, scale, activation)
+        self.torso = torso_for(torso_key, inputs, hidden, scale, activation, precision)
         self.value_head = eqx.nn.Linear(hidden[-1], 1, key=value_key)
         self.advantage_head = eqx.nn.Linear(hidden[-1], actions, key=advantage_key)
 
@@ -174,10 +190,16 @@ class QNetwork(eqx.Module):
     head: eqx.nn.Linear
 
     def __init__(
-        self, key: Key, inputs: int | Shape, actions: int, hidden: Hidden = (32, 32), scale: Scale | None = None
+        self,
+        key: Key,
+        inputs: int | Shape,
+        actions: int,
+        hidden: Hidden = (32, 32),
+        scale: Scale | None = None,
+        precision: Precision = "float32",
     ):
         torso_key, head_key = jax.random.split(key)
-        self.torso = torso_for(torso_key, inputs, hidden, scale)
+        self.torso = torso_for(torso_key, inputs, hidden, scale, precision=precision)
         self.head = eqx.nn.Linear(hidden[-1], actions, key=head_key)
 
     def __call__(self, obs: Observation) -> Float[Array, "actions"]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from upslope.convolution import Precision
 from upslope.errors import UpslopeError
 from upslope.networks import Activation
 
@@ -49,6 +50,7 @@ class MetaTrainingConfig:
         snapshot_every: iterations between snapshots.
         evaluation_tasks: extra training tasks, never test tasks, on which snapshots are tried.
         evaluation_episodes: greedy episodes on each of them.
+        precision: of what convolutions multiply; GPUs are faster with less than float32, CPUs only round.
     """
 
     iterations: int = 500
@@ -80,6 +82,7 @@ class MetaTrainingConfig:
     snapshot_every: int = 10
     evaluation_tasks: int = 20
     evaluation_episodes: int = 3
+    precision: Precision = "float32"
 
     def __post_init__(self) -> None:
         for name in _COUNTS:

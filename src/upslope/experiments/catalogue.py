@@ -24,6 +24,7 @@ from upslope.experiments.grid_prior_plots import TITLES, draw_grid_priors
 from upslope.experiments.grid_priors import (
     AIMS,
     GridPriorsConfig,
+    grid_precisions,
     grid_priors,
     grid_readings,
     quick_grid_priors,
@@ -41,18 +42,19 @@ from upslope.run.folder import claimed
 from upslope.run.session import session_in
 from upslope.storage import write_atomically
 
-#: Experiments that learn priors of grid games: the paper's Figures 2 and 4, and a study.
+#: Experiments that learn priors of grid games: the paper's Figures 2 and 4, and two studies.
 GRID_PRIORS: dict[str, Callable[..., GridPriorsConfig]] = {
     "fig2": partial(grid_priors, "clean"),
     "fig4": partial(grid_priors, "obstacles"),
     "grid-readings": grid_readings,
+    "grid-precisions": grid_precisions,
 }
 #: The paper's Figures 3 and 5.
 GRID_FIGURES: dict[str, Callable[[], GridFigureConfig]] = {
     "fig3": partial(GridFigureConfig, "clean"),
     "fig5": partial(GridFigureConfig, "obstacles"),
 }
-EXPERIMENTS = ("fig1", "fig2", "fig3", "fig4", "fig5", "theorems", "grid-readings", "shipped-prior", *STUDIES)
+EXPERIMENTS = ("fig1", *sorted({*GRID_PRIORS, *GRID_FIGURES}), "theorems", "shipped-prior", *STUDIES)
 PANELS: tuple[PanelName, ...] = ("left", "middle", "right")
 
 

@@ -79,6 +79,19 @@ def grid_readings(iterations: int = 1500) -> GridPriorsConfig:
     )
 
 
+def grid_precisions(iterations: int = 1500) -> GridPriorsConfig:
+    """The recipe with fewer bits in its convolutions: what that does to learning is the same on every machine."""
+    recipe = for_grid_games(iterations)
+    return GridPriorsConfig(
+        "obstacles",
+        {
+            "algorithm1": Reading("float32", recipe),
+            "tensorfloat32": Reading("TF32 in the convolutions", replace(recipe, precision="tensorfloat32")),
+            "bfloat16": Reading("bfloat16 in the convolutions", replace(recipe, precision="bfloat16")),
+        },
+    )
+
+
 def quick_grid_priors(config: GridPriorsConfig) -> GridPriorsConfig:
     """A minute or two: shows that all works, says nothing."""
     readings = {
