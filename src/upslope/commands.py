@@ -45,7 +45,7 @@ class Reproduce:
     panels: tuple[Literal["left", "middle", "right"], ...] = ("left", "middle", "right")
     """Which panels."""
     iterations: int | None = None
-    """Of meta-training, for fig2 to fig5, grid-readings and grid-precisions; fewer than the recipe's 6,000 make weaker priors."""
+    """Of meta-training, for fig2 to fig5 and both studies of it on maps; fewer than 6,000 make weaker priors."""
     resume: bool = False
     """Go on with the run in --out, which was stopped."""
 
