@@ -111,7 +111,7 @@ def _or_none(steps: float) -> float | None:
 
 
 def _draw(rows: dict[str, Any], path: Path) -> None:
-    figure = Figure(figsize=(4 * len(rows), 3), layout="constrained")
+    figure = Figure(figsize=(4 * len(rows), 3.5), layout="constrained")
     axes = figure.subplots(1, len(rows), sharey=True, squeeze=False)[0]
     for axis, (name, row) in zip(axes, rows.items(), strict=True):
         for arm, words in ARMS.items():
@@ -122,5 +122,5 @@ def _draw(rows: dict[str, Any], path: Path) -> None:
         axis.axhline(GOAL, color="black", linewidth=0.5, linestyle=":")
         axis.set(title=f"Stable-Baselines3 {name}", xlabel="environment steps", ylim=(0, 205))
     axes[0].set_ylabel("raw greedy return")
-    axes[0].legend(fontsize="small")
+    figure.legend(*axes[0].get_legend_handles_labels(), fontsize="small", loc="outside lower center", ncols=len(rows))
     figure.savefig(path, dpi=150)
