@@ -8,11 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import upslope
 from support.batches import small_network
+from upslope.agents.dqn import DQN, for_maps
 from upslope.convolution import FORMS
 from upslope.errors import UpslopeError
-from upslope.networks import MLP, Actor, Critic, DuelingQ, QNetwork, convolutional_torso
+from upslope.meta_training import MetaTraining
+from upslope.networks import MLP, Actor, Critic, DuelingQ, QNetwork, at_precision, convolutional_torso
 from upslope.potentials import constant_potential, mean_potential, stack
+from upslope.recipes import MetaTrainingConfig
 
 SCALE = (0.5, 2.0, 10.0)
 OBS = jnp.array([1.0, -2.0, 0.3])
@@ -176,3 +180,31 @@ class TestStacking:
 
 def test_networks_of_different_keys_differ():
     assert not np.allclose(small_network(0)(OBS), small_network(1)(OBS))
+
+
+class TestPrecision:
+    def test_fewer_bits_move_the_values_of_a_convolutional_network_a_little(self):
+        obs = jax.random.uniform(jax.random.key(1), (4, 5, 4))
+        exact = DuelingQ(jax.random.key(0), (4, 5, 4), 3)
+        rough = at_precision(exact, "bfloat16")
+        assert rough.torso.precision == "bfloat16"
+        assert 0 < np.abs(rough(obs) - exact(obs)).max() < 0.05
+        np.testing.assert_array_equal(at_precision(rough, "float32")(obs), exact(obs))
+
+    def test_a_network_without_convolutions_stays_as_it_is(self):
+        network = QNetwork(jax.random.key(0), 4, 2)
+        assert at_precision(network, "bfloat16") is network
+
+    def test_learners_ask_for_it(self):
+        maps = upslope.obstacle_maps()
+        theta = jax.eval_shape(
+            MetaTraining(maps, MetaTrainingConfig(precision="bfloat16")).init, jax.random.key(0)
+        ).theta
+        task = maps.sample(jax.random.key(1))
+        settings = dataclasses.replace(for_maps(), precision="tensorfloat32")
+        learner = jax.eval_shape(DQN(maps, task, None, settings).init, jax.random.key(0))
+        assert (theta.torso.precision, learner.network.torso.precision) == ("bfloat16", "tensorfloat32")
+
+    def test_an_unknown_one(self):
+        with pytest.raises(UpslopeError, match="no precision 'half': choose float32"):
+            at_precision(QNetwork(jax.random.key(0), 4, 2), "half")

@@ -98,8 +98,9 @@ def fastest_form(backend: str | None = None) -> Convolution:
     return FASTEST.get(backend or jax.default_backend(), "patches")
 
 
-#: Bits of a factor's mantissa; sums are float32 in any case. And JAX's names of what GPUs do so fast.
-_MANTISSAS: dict[Precision, int] = {"float32": 23, "tensorfloat32": 10, "bfloat16": 7}
+#: Bits that are left of a factor's mantissa; sums are float32 in any case.
+_MANTISSAS: dict[Precision, int] = {"tensorfloat32": 10, "bfloat16": 7}
+#: JAX's names of what GPUs have units for.
 _ON_GPUS: dict[Precision, str] = {
     "float32": "highest",
     "tensorfloat32": "TF32_TF32_F32",

@@ -13,7 +13,7 @@ from upslope.errors import UpslopeError
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import prior_learning_loss, td_loss
 from upslope.maml import adapt, gradient_task_by_task
-from upslope.networks import DuelingQ
+from upslope.networks import DuelingQ, at_precision
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.recipes import MetaTrainingConfig
 from upslope.replay import Replay
@@ -66,8 +66,8 @@ class MetaTraining(AbstractTaskLearner):
             config.hidden,
             family.observation_scale,
             config.activation,
-            config.precision,
         )
+        theta = at_precision(theta, config.precision)
         return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta))
 
     def gather(self, state: MetaTrainingState) -> Transition | TableSamples:

@@ -4,7 +4,8 @@ All are plain PyTrees that act on one observation; map over batches at the call 
 """
 
 from collections.abc import Callable
-from typing import Literal
+from dataclasses import replace
+from typing import Literal, TypeVar
 
 import equinox as eqx
 import jax
@@ -93,15 +94,8 @@ def convolutional_torso(
     activation: Activation = "relu",
     *,
     channels: Hidden = CHANNELS,
-    precision: Precision = "float32",
 ) -> ConvolutionalTorso:
-    """A fresh torso for maps of ``(height, width, channels)``, with the fastest form of the convolution.
-
-    Raises:
-        UpslopeError: an unknown precision.
-    """
-    if precision not in PRECISIONS:
-        raise UpslopeError(f"There is no precision {precision!r}: choose {', '.join(PRECISIONS)}.")
+    """A fresh torso for maps of ``(height, width, channels)``, with the fastest form of the convolution."""
     height, width, inputs = shape
     keys = jax.random.split(key, len(channels) + 1)
     # He's initialisation: at the scale of fully connected layers' default a map would fade from layer to layer.
@@ -114,17 +108,11 @@ def convolutional_torso(
         scale=scale if scale is not None else (1.0,) * inputs,
         activation=activation,
         convolution=fastest_form(),
-        precision=precision,
     )
 
 
 def torso_for(
-    key: Key,
-    inputs: int | Shape,
-    hidden: Hidden,
-    scale: Scale | None,
-    activation: Activation = "relu",
-    precision: Precision = "float32",
+    key: Key, inputs: int | Shape, hidden: Hidden, scale: Scale | None, activation: Activation = "relu"
 ) -> MLP | ConvolutionalTorso:
     """What suits the observations: fully connected for vectors, convolutional for maps ``(height, width, channels)``.
 
@@ -135,7 +123,7 @@ def torso_for(
     if len(shape) == 1:
         return MLP(key, shape[0], hidden, scale, activation)
     if len(shape) == 3:
-        return convolutional_torso(key, shape, hidden, scale, activation, precision=precision)
+        return convolutional_torso(key, shape, hidden, scale, activation)
     raise UpslopeError(f"No network takes observations of shape {shape}: make them vectors, or maps with channels.")
 
 
@@ -158,10 +146,9 @@ class DuelingQ(eqx.Module):
         hidden: Hidden = (32, 32),
         scale: Scale | None = None,
         activation: Activation = "relu",
-        precision: Precision = "float32",
     ):
         torso_key, value_key, advantage_key = jax.random.split(key, 3)
-        self.torso = torso_for(torso_key, inputs, hidden, scale, activation, precision)
+        self.torso = torso_for(torso_key, inputs, hidden, scale, activation)
         self.value_head = eqx.nn.Linear(hidden[-1], 1, key=value_key)
         self.advantage_head = eqx.nn.Linear(hidden[-1], actions, key=advantage_key)
 
@@ -190,20 +177,30 @@ class QNetwork(eqx.Module):
     head: eqx.nn.Linear
 
     def __init__(
-        self,
-        key: Key,
-        inputs: int | Shape,
-        actions: int,
-        hidden: Hidden = (32, 32),
-        scale: Scale | None = None,
-        precision: Precision = "float32",
+        self, key: Key, inputs: int | Shape, actions: int, hidden: Hidden = (32, 32), scale: Scale | None = None
     ):
         torso_key, head_key = jax.random.split(key)
-        self.torso = torso_for(torso_key, inputs, hidden, scale, precision=precision)
+        self.torso = torso_for(torso_key, inputs, hidden, scale)
         self.head = eqx.nn.Linear(hidden[-1], actions, key=head_key)
 
     def __call__(self, obs: Observation) -> Float[Array, "actions"]:
         return self.head(self.torso(obs))
+
+
+Network = TypeVar("Network", DuelingQ, QNetwork)
+
+
+def at_precision(network: Network, precision: str) -> Network:
+    """The same network, with so many bits in what its convolutions multiply; without convolutions, as it is.
+
+    Raises:
+        UpslopeError: an unknown precision.
+    """
+    if precision not in PRECISIONS:
+        raise UpslopeError(f"There is no precision {precision!r}: choose {', '.join(PRECISIONS)}.")
+    if not isinstance(network.torso, ConvolutionalTorso):
+        return network
+    return eqx.tree_at(lambda network: network.torso, network, replace(network.torso, precision=precision))
 
 
 class Actor(eqx.Module):

@@ -13,7 +13,7 @@ from upslope.agents.experience import Experience
 from upslope.convolution import Precision
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import huber, td_error
-from upslope.networks import QNetwork
+from upslope.networks import QNetwork, at_precision
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.shaping import Shaping, shape
 from upslope.tasks.family import AbstractFamily
@@ -95,8 +95,8 @@ class DQN(AbstractTaskLearner):
             self.family.actions,
             self.config.hidden,
             self.family.observation_scale,
-            self.config.precision,
         )
+        network = at_precision(network, self.config.precision)
         experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity, self.shaping)
         experience, _ = experience.extend(
             warmup_key, self.family, self.task, EpsilonGreedy(network, 1.0), self.config.warmup_steps, self.shaping

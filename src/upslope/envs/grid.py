@@ -3,6 +3,7 @@
 The map is the task. Cells are numbered row by row: cell = row · width + column.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from upslope.errors import UpslopeError
 from upslope.types import Key, Scalar
 
 Cell = Int[Array, ""]
@@ -181,6 +183,18 @@ class GridGame:
             stuck | terminated,
             ~idle,
         )
+
+
+def check_settings(slip: float, trap_penalty: float) -> None:
+    """What maps of every origin must keep to.
+
+    Raises:
+        UpslopeError: a probability or a penalty that is none.
+    """
+    if not 0 <= slip < 1:
+        raise UpslopeError(f"slip is {slip}, but it is a probability below 1: give one such as 0.2.")
+    if not (math.isfinite(trap_penalty) and trap_penalty >= 0):
+        raise UpslopeError(f"trap_penalty is {trap_penalty}, but traps cost something: give 0 or a positive number.")
 
 
 def arrival(params: GridParams, cell: Int[Array, "*cells"]) -> tuple[Float[Array, "*cells"], Bool[Array, "*cells"]]:

@@ -1,11 +1,9 @@
 """Maps as people write them: a line for each row, with S, G, # (obstacle), T (trap) and . (free)."""
 
-import math
-
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.envs.grid import GridParams
+from upslope.envs.grid import GridParams, check_settings
 from upslope.errors import UpslopeError
 
 START, GOAL, OBSTACLE, TRAP, FREE = "SG#T."
@@ -33,10 +31,7 @@ def read_map(text: str, *, trap_penalty: float = 1.0, slip: float = 0.0, max_ste
     for name, mark in (("start", START), ("goal", GOAL)):
         if np.sum(board == mark) != 1:
             raise UpslopeError(f"The map has {np.sum(board == mark)} cells with {mark}: give it one {name}.")
-    if not (math.isfinite(trap_penalty) and trap_penalty >= 0):
-        raise UpslopeError(f"trap_penalty is {trap_penalty}, but traps cost something: give 0 or a positive number.")
-    if not 0 <= slip < 1:
-        raise UpslopeError(f"slip is {slip}, but it is a probability below 1: give one such as 0.2.")
+    check_settings(slip, trap_penalty)
     return GridParams(
         obstacles=jnp.asarray(board == OBSTACLE),
         traps=jnp.asarray(board == TRAP),

@@ -55,7 +55,7 @@ class Figure1Config:
         ddpg_updates: length of the right panel.
         every: updates between evaluations in the middle and right panels.
         meta_training: Algorithm 1.
-        oracle: training of each task's oracle.
+        oracle: training of each task's oracle; to convergence, so its first half is no candidate.
         panel: stops and step sizes of the left panel.
         adaptation: sizes of batches and replay in the left panel.
         dqn: the learner of the middle panel.

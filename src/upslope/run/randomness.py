@@ -33,6 +33,8 @@ def unrolled(keys: Keys) -> Keys:
     return jax.random.wrap_key_data(jax.random.key_data(keys), impl=_IMPLEMENTATION)
 
 
+# One program where nothing else compiles it, instead of a hundred small ones.
+@functools.partial(jax.jit, inline=True)
 def _threefry(key: UInt32[Array, "2"], high: Words, low: Words) -> tuple[Words, Words]:
     """Threefry-2x32 with twenty rounds (Salmon et al., 2011) of the 64-bit counts ``high``, ``low``."""
     schedule = (key[0], key[1], key[0] ^ key[1] ^ _PARITY)
@@ -46,18 +48,11 @@ def _threefry(key: UInt32[Array, "2"], high: Words, low: Words) -> tuple[Words, 
     return high, low
 
 
-# One program where nothing else compiles it, instead of a hundred small ones.
-@functools.partial(jax.jit, static_argnames="shape", inline=True)
 def _of_counts(key: UInt32[Array, "2"], shape: tuple[int, ...]) -> tuple[Words, Words]:
     """Both words for each place of an array."""
     # Arrays here stay far below 2³² places, so the high word of a place's number is zero.
     places = jnp.arange(int(np.prod(shape)), dtype=jnp.uint32).reshape(shape)
     return _threefry(key, jnp.zeros_like(places), places)
-
-
-@functools.partial(jax.jit, inline=True)
-def _of_data(key: UInt32[Array, "2"], data: Words) -> tuple[Words, Words]:
-    return _threefry(key, jnp.uint32(0), data)
 
 
 def _seed(seed: Array) -> UInt32[Array, "2"]:
@@ -69,7 +64,7 @@ def _split(key: UInt32[Array, "2"], shape: tuple[int, ...]) -> UInt32[Array, "*s
 
 
 def _fold_in(key: UInt32[Array, "2"], data: Any) -> UInt32[Array, "2"]:
-    return jnp.stack(_of_data(key, jnp.asarray(data, jnp.uint32)))
+    return jnp.stack(_threefry(key, jnp.uint32(0), jnp.asarray(data, jnp.uint32)))
 
 
 def _random_bits(key: UInt32[Array, "2"], bit_width: int, shape: tuple[int, ...]) -> Array:

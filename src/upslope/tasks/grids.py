@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.envs.grid import GridGame, GridParams
+from upslope.envs.grid import GridGame, GridParams, check_settings
 from upslope.errors import UpslopeError
 from upslope.tasks.grid_maps import HeldOut, RandomMaps, Split
 from upslope.tasks.jax_tasks import JaxTasks
@@ -152,11 +152,10 @@ def _check(
     height, width = size
     if height < 1 or width < 1 or height * width < 2:
         raise UpslopeError(f"A map of {height} × {width} cells holds no start and goal: give at least 2 cells.")
-    for name, share in (("obstacles", obstacles), ("traps", traps), ("slip", slip)):
+    check_settings(slip, trap_penalty)
+    for name, share in (("obstacles", obstacles), ("traps", traps)):
         if not 0 <= share < 1:
             raise UpslopeError(f"{name} is {share}, but it is a probability below 1: give one such as 0.2.")
-    if not (np.isfinite(trap_penalty) and trap_penalty >= 0):
-        raise UpslopeError(f"trap_penalty is {trap_penalty}, but traps cost something: give 0 or a positive number.")
     if not 0 < gamma <= 1:
         raise UpslopeError(f"gamma is {gamma}, but a discount lies in (0, 1]: give one such as 0.9.")
     for name, count in (("max_steps", max_steps), ("maps", 1 if maps is None else maps)):

@@ -125,7 +125,7 @@ class GymnasiumTasks(AbstractFamily):
         return _drawn(self.sample_task, np.asarray(task))
 
     def sample_many(self, key: Key, count: int) -> Task:
-        return _words(key, count)
+        return _words(key, count)  # in one call, where mapping over keys takes a dozen
 
     def reset(self, key: Key, tasks: Task) -> RunningHost:
         if evaluated_abstractly(key, tasks):
