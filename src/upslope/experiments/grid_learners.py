@@ -19,11 +19,17 @@ from upslope.tasks.grid_potentials import CellPotential, manhattan_potential, op
 ARMS = ("unshaped", "manhattan", "oracle")
 
 VARIANTS: dict[str, DQNConfig] = {
-    "as set": for_maps(),
-    "step size 5e-4": replace(for_maps(), learning_rate=5e-4),
-    "target rate 0.05": replace(for_maps(), target_rate=0.05),
-    "ε 0.3": replace(for_maps(), epsilon=0.3),
-    "4 steps per update": replace(for_maps(), steps_per_update=4),
+    f"{steps} step{'s' * (steps > 1)}, target rate {rate}{more}": replace(
+        for_maps(), steps_per_update=steps, target_rate=rate, **change
+    )
+    for steps, rate, more, change in (
+        (1, 0.02, "", {}),
+        (1, 0.05, "", {}),
+        (4, 0.02, "", {}),
+        (4, 0.05, "", {}),
+        (4, 0.05, ", ε 0.3", {"epsilon": 0.3}),
+        (4, 0.05, ", step size 5e-4", {"learning_rate": 5e-4}),
+    )
 }
 
 
@@ -41,7 +47,7 @@ class GridLearnersConfig:
 
     seeds: int = 1
     first_seed: int = 10_000
-    tasks: int = 10
+    tasks: int = 20
     updates: int = 200
     every: int = 25
 
