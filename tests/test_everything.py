@@ -14,10 +14,11 @@ class Runs:
     """Stands in for `reproduce`: remembers how it was called, and writes what a chapter writes."""
 
     def __init__(self, fails_at=None):
-        self.calls, self.fails_at = [], fails_at
+        self.calls, self.priors_of, self.fails_at = [], {}, fails_at
 
-    def __call__(self, name, *, out, is_quick, first_seed, resume, console):
+    def __call__(self, name, *, out, is_quick, first_seed, priors_of, resume, console):
         self.calls.append((name, out.name, is_quick, first_seed, resume))
+        self.priors_of[name] = priors_of and priors_of.name
         out.mkdir(exist_ok=True)
         (out / "run.json").write_text("{}")
         if name == self.fails_at:
@@ -44,6 +45,14 @@ def test_every_figure_and_the_theorems_are_run_each_in_its_folder(runs, tmp_path
     assert [call[0] for call in runs.calls] == [call[1] for call in runs.calls]
     assert {call[0] for call in runs.calls} == {"fig1", "fig2", "fig3", "fig4", "fig5", "theorems"} <= set(EXPERIMENTS)
     assert all(call[2:] == (True, 3, False) for call in runs.calls)
+
+
+def test_figures_on_maps_begin_with_the_priors_that_are_there(runs, tmp_path):
+    everything_in(tmp_path / "all")
+    order = [call[0] for call in runs.calls]
+    assert {name: given for name, given in runs.priors_of.items() if given} == {"fig3": "fig2", "fig5": "fig4"}
+    assert order.index("fig2") < order.index("fig3")
+    assert order.index("fig4") < order.index("fig5")
 
 
 def test_the_page_links_what_is_there_and_quotes_what_was_said(runs, tmp_path):

@@ -46,14 +46,17 @@ class Reproduce:
     """Which panels."""
     iterations: int | None = None
     """Of meta-training, for fig2 to fig5 and both studies of it on maps; fewer than 6,000 make weaker priors."""
+    priors_of: Path | None = None
+    """The folder of fig2 or fig4: fig3 and fig5 begin with the same priors, and need not train them again."""
     resume: bool = False
     """Go on with the run in --out, which was stopped."""
 
     def __call__(self) -> None:
         if self.figure == "all":
-            if (self.seeds, self.tasks, self.iterations) != (None, None, None) or len(self.panels) < 3:
+            given = (self.seeds, self.tasks, self.iterations, self.priors_of)
+            if any(one is not None for one in given) or len(self.panels) < 3:
                 raise UpslopeError(
-                    "All figures come with their own numbers of seeds, tasks and iterations, and all panels: "
+                    "All figures come with their own seeds, tasks, iterations and priors, and with all panels: "
                     "reproduce one figure to change those."
                 )
             reproduce_all(out=self.out, is_quick=self.quick, first_seed=self.first_seed, resume=self.resume)
@@ -67,6 +70,7 @@ class Reproduce:
             first_seed=self.first_seed,
             panels=self.panels,
             iterations=self.iterations,
+            priors_of=self.priors_of,
             resume=self.resume,
         )
 

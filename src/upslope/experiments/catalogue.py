@@ -18,6 +18,7 @@ from upslope.experiments.grid_figures import (
     GridPanelName,
     grid_figure,
     quick_grid_figure,
+    stages,
     with_iterations,
 )
 from upslope.experiments.grid_prior_plots import TITLES, draw_grid_priors
@@ -38,6 +39,7 @@ from upslope.experiments.shipped_prior import ShippedPriorConfig, card, quick_sh
 from upslope.experiments.studies import STUDIES, Study
 from upslope.experiments.theorem_plots import draw_theorems
 from upslope.experiments.theorems import TheoremsConfig, quick_theorems, tables, theorems
+from upslope.run.checkpoints import adopt
 from upslope.run.folder import claimed
 from upslope.run.session import session_in
 from upslope.storage import write_atomically
@@ -68,6 +70,7 @@ def reproduce(
     first_seed: int = 0,
     panels: Sequence[PanelName] = PANELS,
     iterations: int | None = None,
+    priors_of: Path | None = None,
     resume: bool = False,
     console: Console | None = None,
 ) -> None:
@@ -82,6 +85,7 @@ def reproduce(
         first_seed: other seeds and other test tasks.
         panels: of the figure; maps have no middle one.
         iterations: of meta-training, where maps are learned over; the recipe's own number if None.
+        priors_of: folder of fig2 (for fig3) or fig4 (for fig5), whose priors are taken instead of trained anew.
         resume: go on with the run in ``out``, started with the same settings.
         console: where the summary goes.
 
@@ -95,6 +99,8 @@ def reproduce(
         raise UpslopeError(f"There are no panels {', '.join(panels)!r}: choose among {', '.join(PANELS)}.")
     if iterations is not None and experiment not in (*GRID_PRIORS, *GRID_FIGURES):
         raise UpslopeError(f"{experiment} has a fixed number of iterations: leave --iterations out.")
+    if priors_of is not None and experiment not in GRID_FIGURES:
+        raise UpslopeError(f"{experiment} takes no priors of another figure: leave --priors-of out.")
     for name, count in (("seeds", seeds), ("tasks", tasks), ("iterations", iterations)):
         if count is not None and count < 1:
             raise UpslopeError(f"{count} {name} make no figure: give at least 1.")
@@ -113,7 +119,8 @@ def reproduce(
         if not shown:
             raise UpslopeError(f"{experiment} has no middle panel: choose left, right or both.")
         make = partial(grid_figure, figure, panels=shown, is_quick=is_quick)
-        _reproduce_figure(experiment, {"panels": shown, **asdict(figure)}, make, out, resume, console)
+        taken = None if priors_of is None else partial(adopt, stages(figure.maps), priors_of)
+        _reproduce_figure(experiment, {"panels": shown, **asdict(figure)}, make, out, resume, console, taken)
     elif experiment == "theorems":
         proofs = quick_theorems(TheoremsConfig()) if is_quick else TheoremsConfig()
         proofs = replace(proofs, first_seed=first_seed, seeds=seeds or proofs.seeds, tasks=tasks or proofs.tasks)
@@ -149,9 +156,12 @@ def _reproduce_figure(
     out: Path | None,
     resume: bool,
     console: Console,
+    prepare: Callable[[Path], None] | None = None,
 ) -> None:
     with claimed(out, name, settings, resume=resume) as folder:
-        result = make(session=session_in(folder, resume=resume, final_states=False))
+        if prepare is not None:
+            prepare(folder)
+        result = make(session=session_in(folder, resume=resume or prepare is not None, final_states=False))
         write_results(result, folder)
         draw(result, folder)
         write_report(result, folder)

@@ -22,6 +22,9 @@ CHAPTERS: dict[str, str] = {
     "fig5": "Figure 5: adaptation and shaping on maps with obstacles",
 }
 
+#: Whose priors a chapter begins with, so that they are trained once.
+PRIORS_OF = {"fig3": "fig2", "fig5": "fig4"}
+
 #: What is shown of a chapter and linked from it, where it is there.
 PICTURES = ("figure.png", "map.png", "sheet.png")
 FILES = ("report.html", "tables.md", "results.json", "returns.npz")
@@ -57,7 +60,16 @@ def reproduce_all(
             began = time.perf_counter()
             chapter = folder / name
             begun = resume and (chapter / "run.json").is_file()
-            reproduce(name, out=chapter, is_quick=is_quick, first_seed=first_seed, resume=begun, console=record)
+            priors_of = folder / PRIORS_OF[name] if name in PRIORS_OF else None
+            reproduce(
+                name,
+                out=chapter,
+                is_quick=is_quick,
+                first_seed=first_seed,
+                priors_of=priors_of,
+                resume=begun,
+                console=record,
+            )
             told[name] = record.export_text(), time.perf_counter() - began
             console.print(told[name][0], highlight=False)
             write_atomically(folder / "report.html", _page(folder, told, is_quick).encode())

@@ -13,7 +13,7 @@ from upslope.agents.dqn import DQNConfig
 from upslope.errors import UpslopeError
 from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
 from upslope.experiments.grid_arms import grid_arms, mean_levels_on_maps
-from upslope.experiments.grid_priors import Maps, families
+from upslope.experiments.grid_priors import Maps, families, quick_reading, stage
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import Priors, describe_priors, meta_train_priors
 from upslope.experiments.results import SUCCESS, FigureResult, Panel
@@ -83,17 +83,21 @@ def with_iterations(config: GridFigureConfig, iterations: int) -> GridFigureConf
 
 def quick_grid_figure(config: GridFigureConfig) -> GridFigureConfig:
     """A minute or two: shows that all works, says nothing."""
-    config = with_iterations(config, 32)
     return replace(
         config,
         seeds=1,
         tasks=4,
         dqn_updates=30,
         every=15,
-        meta_training=replace(config.meta_training, evaluation_tasks=5),
-        multi_task=replace(config.multi_task, evaluation_tasks=5),
-        panel=replace(config.panel, stops=(16, 32), updates=2, step_sizes=(0.01, 0.1)),
+        meta_training=quick_reading(config.meta_training),
+        multi_task=quick_reading(config.multi_task),
+        panel=replace(config.panel, stops=(20, 40), updates=2, step_sizes=(0.01, 0.1)),
     )
+
+
+def stages(maps: Maps) -> tuple[str, str]:
+    """The trainings that Figures 3 and 5 share with Figures 2 and 4."""
+    return stage(maps, "algorithm1"), stage(maps, "multi_task_dqn")
 
 
 def grid_figure(
@@ -109,8 +113,9 @@ def grid_figure(
     with compile_clock() as clock:
         family, unseen = families(config.maps)
         tasks = unseen.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
-        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session)
-        control = meta_train_priors(family, config.multi_task, seed, config.seeds, session, "multi-task DQN")
+        ours, theirs = stages(config.maps)
+        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session, ours)
+        control = meta_train_priors(family, config.multi_task, seed, config.seeds, session, theirs)
         if "right" in panels:
             levels = mean_levels_on_maps(family, family.sample_many(key_for(seed, Purpose.LEVEL), 20), priors.final)
             finished["right"] = shaping_panel(

@@ -19,16 +19,16 @@ from upslope.tasks.grid_potentials import CellPotential, manhattan_potential, op
 ARMS = ("unshaped", "manhattan", "oracle")
 
 VARIANTS: dict[str, DQNConfig] = {
-    f"{steps} step{'s' * (steps > 1)}, target rate {rate}{more}": replace(
-        for_maps(), steps_per_update=steps, target_rate=rate, **change
+    f"{steps} steps per update, target rate {rate}, ε {epsilon}, step size {size}": replace(
+        for_maps(), steps_per_update=steps, target_rate=rate, epsilon=epsilon, learning_rate=size
     )
-    for steps, rate, more, change in (
-        (1, 0.02, "", {}),
-        (1, 0.05, "", {}),
-        (4, 0.02, "", {}),
-        (4, 0.05, "", {}),
-        (4, 0.05, ", ε 0.3", {"epsilon": 0.3}),
-        (4, 0.05, ", step size 5e-4", {"learning_rate": 5e-4}),
+    for steps, rate, epsilon, size in (
+        (1, 0.02, 0.1, 1e-3),
+        (1, 0.05, 0.1, 1e-3),
+        (4, 0.02, 0.1, 1e-3),
+        (4, 0.05, 0.1, 1e-3),
+        (4, 0.05, 0.3, 1e-3),
+        (4, 0.05, 0.1, 5e-4),
     )
 }
 

@@ -55,14 +55,20 @@ class GridPriorsConfig:
 
     maps: Maps
     readings: dict[str, Reading]
-    seeds: int = 1
+    seeds: int = 5
     first_seed: int = 0
     tasks: int = 100
 
 
 def grid_priors(maps: Maps, iterations: int = 6000) -> GridPriorsConfig:
-    """The recipe."""
-    return GridPriorsConfig(maps, {"algorithm1": Reading("Algorithm 1, φ a table, N = 30", for_grid_games(iterations))})
+    """The recipe, and plain multi-task DQN for as many iterations, which cost the same."""
+    return GridPriorsConfig(
+        maps,
+        {
+            "algorithm1": Reading("Algorithm 1, φ a table, N = 30", for_grid_games(iterations)),
+            "multi_task_dqn": Reading("multi-task DQN", multi_task_dqn(iterations)),
+        },
+    )
 
 
 def grid_readings(iterations: int = 1500) -> GridPriorsConfig:
@@ -76,6 +82,7 @@ def grid_readings(iterations: int = 1500) -> GridPriorsConfig:
             "unweighted": Reading("N = 30, Eq. 7 alone", replace(recipe, advantage_weight=0.0)),
             "multi_task_dqn": Reading("multi-task DQN", multi_task_dqn(iterations)),
         },
+        seeds=1,
     )
 
 
@@ -89,16 +96,24 @@ def grid_precisions(iterations: int = 1500) -> GridPriorsConfig:
             "tensorfloat32": Reading("TF32 in the convolutions", replace(recipe, precision="tensorfloat32")),
             "bfloat16": Reading("bfloat16 in the convolutions", replace(recipe, precision="bfloat16")),
         },
+        seeds=1,
     )
 
 
 def quick_grid_priors(config: GridPriorsConfig) -> GridPriorsConfig:
     """A minute or two: shows that all works, says nothing."""
-    readings = {
-        name: Reading(what, replace(reading, iterations=40, snapshot_every=20, evaluation_tasks=5))
-        for name, (what, reading) in config.readings.items()
-    }
+    readings = {name: Reading(what, quick_reading(reading)) for name, (what, reading) in config.readings.items()}
     return replace(config, readings=readings, seeds=1, tasks=10)
+
+
+def quick_reading(config: MetaTrainingConfig) -> MetaTrainingConfig:
+    """A minute of it at most."""
+    return replace(config, iterations=40, snapshot_every=20, evaluation_tasks=5)
+
+
+def stage(maps: Maps, reading: str) -> str:
+    """What the training of a reading is called, in whichever figure it has a part."""
+    return f"{maps}: {reading}"
 
 
 def families(maps: Maps) -> tuple[JaxTasks, JaxTasks]:
@@ -128,7 +143,7 @@ def run_grid_priors(
                 keys_for(config.first_seed, config.seeds, Purpose.META_TRAINING),
                 updates=settings.iterations,
                 every=settings.snapshot_every,
-                title=f"{config.maps}: {name}",
+                title=stage(config.maps, name),
                 session=session,
             )
             rows[name] = {"what": what} | describe(family, known, tasks, outcome, settings)

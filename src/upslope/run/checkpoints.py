@@ -1,9 +1,10 @@
 """Checkpoints of runs: when they are due, how they are written, which one a resumed run goes on from."""
 
 import hashlib
+import shutil
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,7 @@ class Checkpoints:
         Raises:
             NotSavedError: there can be no folder for them.
         """
-        folder = self.folder / "checkpoints" / "".join(letter if letter.isalnum() else "_" for letter in title)
+        folder = _of_stage(self.folder, title)
         try:
             # Now and not when saving: a folder that vanishes later shall be missed, not made anew.
             folder.mkdir(parents=True, exist_ok=True)
@@ -164,6 +165,37 @@ class Stage:
             return from_arrays(int(update), arrays, needed)
         except (KeyError, TypeError, ValueError) as error:
             raise DamagedFileError(f"{path} does not hold what this run needs ({error}).") from error
+
+
+def adopt(titles: Iterable[str], source: Path, folder: Path) -> None:
+    """Copies what is kept of some runs, to be gone on from by a run that begins with the same ones.
+
+    Args:
+        titles: of the runs.
+        source: the folder they ran in.
+        folder: of the run that goes on from them.
+
+    Raises:
+        UpslopeError: one of them has left nothing there.
+        NotSavedError: they can't be copied.
+    """
+    for title in titles:
+        there, here = _of_stage(source, title), _of_stage(folder, title)
+        if not any(there.glob("*.safetensors")):
+            raise UpslopeError(
+                f"{source} holds no training called {title!r}: give the folder of the figure that these priors were "
+                "trained for (that of fig2 for fig3, of fig4 for fig5), or leave it out to train them anew."
+            )
+        try:
+            shutil.copytree(there, here, dirs_exist_ok=True)
+        except OSError as error:
+            raise NotSavedError(
+                f"{there} can't be copied to {here} ({error}): make room, or give another folder."
+            ) from error
+
+
+def _of_stage(folder: Path, title: str) -> Path:
+    return folder / "checkpoints" / "".join(letter if letter.isalnum() else "_" for letter in title)
 
 
 def describe(learners: AbstractLearner, keys: Keys, updates: int, every: int) -> dict[str, Any]:
