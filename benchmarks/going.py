@@ -22,7 +22,7 @@ class Going:
     def __init__(self, learners: AbstractLearner, keys: Keys):
         self.count = len(keys)
         padded = jax.tree.map(lambda leaf: _pad(leaf) if np.ndim(leaf) else leaf, (learners, unrolled(keys)))
-        self._learners, keys = chunks.spread(padded)
+        self._learners, keys = chunks.spread(learners, padded)
         self._states, self._totals = chunks.start(self._learners, keys)
 
     def advance(self, steps: int) -> None:

@@ -29,7 +29,7 @@ SIZE, CHANNELS, ACTIONS, KERNELS, HIDDEN = (10, 10), 4, 4, 32, (128, 128)
 INNER_STEP_SIZE = 0.05
 
 #: The forms of the convolution worth timing in every run; ``--forms`` names others.
-IN_THE_RUN = ("closed", "patches", "shifts")
+IN_THE_RUN = ("closed", "patches", "shifts", "winograd")
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def main(options: Options) -> None:
     work: dict[str, float] = {}
     for index, count in enumerate(numbers):
         sizes = Sizes(2 if options.quick else count, options.batch)
-        forms = options.forms if index == 0 else (fastest_form(),)
+        forms = options.forms if index == 0 else (fastest_form(second_order=True),)
         for target in ("stopped", "kept") if index == 0 else ("stopped",):
             found = parts_of(sizes, forms, target, options)
             parts |= found
@@ -93,7 +93,7 @@ def parts_of(sizes: Sizes, forms: tuple[str, ...], target: str, options: Options
         from benchmarks.peers.torch_meta_gradient import peer_steps
 
         batch = jax.tree.map(np.asarray, transitions(sizes))
-        for peer, step in peer_steps(batch, network(fastest_form()), INNER_STEP_SIZE).items():
+        for peer, step in peer_steps(batch, network(fastest_form(second_order=True)), INNER_STEP_SIZE).items():
             found[name(peer)] = Part(partial(step, target))
     return found
 
@@ -102,7 +102,7 @@ def bars(rows: dict[str, Row], numbers: tuple[int, ...]) -> list[Bar]:
     """70 % of the matmul rate, and 2.5 times PyTorch, with the default form."""
     found = []
     for name, row in rows.items():
-        if f"upslope, {fastest_form()}" not in name or "side by side" in name:
+        if f"upslope, {fastest_form(second_order=True)}" not in name or "side by side" in name:
             continue
         which = name.split(":")[0]
         share = row["share of the product's rate"]

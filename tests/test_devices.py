@@ -1,5 +1,6 @@
 """Learners spread over one, two and four virtual devices learn the same."""
 
+import functools
 import json
 import os
 import subprocess
@@ -13,15 +14,18 @@ ROOT = Path(__file__).parents[1]
 
 PROGRAM = """
 import json, sys
+from dataclasses import replace
 import jax
 jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
 import numpy as np
 from upslope.agents.dqn import DQN, DQNConfig
+from upslope.run import chunks
 from upslope.meta_training import MetaTraining
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.loop import broadcast, run
-from upslope.tasks import cartpoles
+from upslope.tasks import cartpoles, obstacle_maps
 
+GRIDS = dict(posterior="table", inner_steps=3, inner_step_size=1.0, environments=2, hidden=(8, 8), target_decay=None)
 family = cartpoles(max_steps=20)
 keys = jax.random.split(jax.random.key(0), 7)
 config = MetaTrainingConfig(
@@ -38,10 +42,19 @@ for name, outcome in (("meta", meta), ("dqn", dqn)):
 told["average"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(meta.states.average)]
 told["network"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(dqn.states.network)]
 told["devices"] = len(meta.flat_states.key.sharding.device_set)
+chunks.sharing_pays = lambda: True
+for name, family, of_grids in (("poles", cartpoles(max_steps=20), {}), ("maps", obstacle_maps("train"), GRIDS)):
+    shared = replace(config, tasks=4, **of_grids)
+    one = run(broadcast(MetaTraining(family, shared), (1,)), keys[:1], updates=4, every=2)
+    told[name] = {"returns": one.reports["return"].tolist()}
+    told[name] |= {metric: values.tolist() for metric, values in one.metrics.items()}
+    told[name]["theta"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(one.states.theta)]
+    told[name]["devices"] = len(one.flat_states.key.sharding.device_set)
 print(json.dumps(told))
 """
 
 
+@functools.cache
 def learned_on(devices):
     command = [sys.executable, "-c", PROGRAM, str(devices)]
     environment = os.environ | {"JAX_PLATFORMS": "cpu"}
@@ -68,6 +81,18 @@ def test_as_on_one_device(devices, alone):
     for name in ("average", "network"):
         for found, expected in zip(spread[name], alone[name], strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("devices", [2, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["poles", "maps"])
+def test_one_learner_whose_tasks_are_shared(devices, name, alone):
+    """Four tasks on as many devices as there are: their gradients are averaged."""
+    shared, expected = learned_on(devices)[name], alone[name]
+    assert (expected.pop("devices"), shared.pop("devices")) == (1, devices)
+    for found, other in zip(shared.pop("theta"), expected.pop("theta"), strict=True):
+        np.testing.assert_allclose(found, other, rtol=1e-3, atol=1e-5)
+    for metric, values in expected.items():
+        np.testing.assert_allclose(shared[metric], values, rtol=1e-4, atol=1e-5, err_msg=metric)
 
 
 def test_it_learned_something(alone):

@@ -14,7 +14,7 @@ from upslope.agents.dqn import DQN, for_maps
 from upslope.convolution import FORMS
 from upslope.errors import UpslopeError
 from upslope.meta_training import MetaTraining
-from upslope.networks import MLP, Actor, Critic, DuelingQ, QNetwork, at_precision, convolutional_torso
+from upslope.networks import MLP, Actor, Critic, DuelingQ, QNetwork, convolutional_torso, with_convolutions
 from upslope.potentials import constant_potential, mean_potential, stack
 from upslope.recipes import MetaTrainingConfig
 
@@ -186,14 +186,14 @@ class TestPrecision:
     def test_fewer_bits_move_the_values_of_a_convolutional_network_a_little(self):
         obs = jax.random.uniform(jax.random.key(1), (4, 5, 4))
         exact = DuelingQ(jax.random.key(0), (4, 5, 4), 3)
-        rough = at_precision(exact, "bfloat16")
+        rough = with_convolutions(exact, "bfloat16")
         assert rough.torso.precision == "bfloat16"
         assert 0 < np.abs(rough(obs) - exact(obs)).max() < 0.05
-        np.testing.assert_array_equal(at_precision(rough, "float32")(obs), exact(obs))
+        np.testing.assert_array_equal(with_convolutions(rough, "float32")(obs), exact(obs))
 
     def test_a_network_without_convolutions_stays_as_it_is(self):
         network = QNetwork(jax.random.key(0), 4, 2)
-        assert at_precision(network, "bfloat16") is network
+        assert with_convolutions(network, "bfloat16") is network
 
     def test_learners_ask_for_it(self):
         maps = upslope.obstacle_maps()
@@ -207,4 +207,4 @@ class TestPrecision:
 
     def test_an_unknown_one(self):
         with pytest.raises(UpslopeError, match="no precision 'half': choose float32"):
-            at_precision(QNetwork(jax.random.key(0), 4, 2), "half")
+            with_convolutions(QNetwork(jax.random.key(0), 4, 2), "half")

@@ -30,6 +30,16 @@ class AbstractLearner(eqx.Module):
         ``observation``, ``reward``, ``loss`` and ``gradient`` are looked at in this order.
         """
 
+    def most_devices(self, devices: int) -> int:
+        """How many of so many devices could share the work of one learner."""
+        del devices
+        return 1
+
+    def over(self, axis: str) -> "AbstractLearner":
+        """This learner as one of the devices along an axis of a mesh runs it, which share its work and its state."""
+        del axis
+        return self
+
     @abstractmethod
     def report(self, state: Any) -> dict[str, Any]:
         """What is recorded between chunks of steps: at least ``return``, the raw greedy return. Changes no state."""

@@ -1,5 +1,6 @@
 """Algorithm 1: meta-learning the potential function prior."""
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -9,14 +10,16 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from upslope.convolution import fastest_form
 from upslope.errors import UpslopeError
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import prior_learning_loss, td_loss
 from upslope.maml import adapt, gradient_task_by_task
-from upslope.networks import DuelingQ, at_precision
+from upslope.networks import DuelingQ, with_convolutions
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.recipes import MetaTrainingConfig
 from upslope.replay import Replay
+from upslope.sharing import mean_of_all, most_devices, own_tasks
 from upslope.tabular_posterior import TableSamples, collect_steps, posterior_table, q_tables, table_distance
 from upslope.tasks.family import AbstractFamily
 from upslope.tasks.jax_tasks import JaxTasks, is_finite
@@ -49,10 +52,21 @@ class TaskSamples(eqx.Module):
 
 
 class MetaTraining(AbstractTaskLearner):
-    """Algorithm 1. One step is one meta-iteration; the state's ``average`` is the prior."""
+    """Algorithm 1. One step is one meta-iteration; the state's ``average`` is the prior.
+
+    Attributes:
+        shared_over: the axis of a mesh whose devices share the tasks of each outer gradient; None for one device.
+    """
 
     family: AbstractFamily
     config: MetaTrainingConfig = eqx.field(static=True, default=MetaTrainingConfig())
+    shared_over: str | None = eqx.field(static=True, default=None)
+
+    def most_devices(self, devices: int) -> int:
+        return most_devices(self.config.tasks, devices)
+
+    def over(self, axis: str) -> "MetaTraining":
+        return replace(self, shared_over=axis)
 
     def init(self, key: Key) -> MetaTrainingState:
         key, trial_key, network_key = jax.random.split(key, 3)
@@ -67,7 +81,9 @@ class MetaTraining(AbstractTaskLearner):
             family.observation_scale,
             config.activation,
         )
-        theta = at_precision(theta, config.precision)
+        # A table has no weights to be adapted: its gradients are of first order.
+        form = fastest_form(second_order=config.posterior == "network")
+        theta = with_convolutions(theta, config.precision, form)
         return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta))
 
     def gather(self, state: MetaTrainingState) -> Transition | TableSamples:
@@ -79,10 +95,12 @@ class MetaTraining(AbstractTaskLearner):
     ) -> tuple[MetaTrainingState, Metrics]:
         key, _, _, update_key = jax.random.split(state.key, 4)
 
+        own = own_tasks(gathered, self.shared_over)
+
         def outer_step(carry: tuple[DuelingQ, Any], key: Key) -> tuple[tuple[DuelingQ, Any], Metrics]:
             theta, optimiser = carry
-            samples = self.draw(key, gathered, state.target)
-            loss, gradient = self.outer_gradient(theta, samples)
+            loss, gradient = self.outer_gradient(theta, self.draw(key, own, state.target))
+            loss, gradient = mean_of_all((loss, gradient), self.shared_over)
             change, optimiser = self._optimiser().update(gradient, optimiser)
             metrics = {"outer_loss": loss, "gradient_norm": optax.tree.norm(gradient)}
             return (optax.apply_updates(theta, change), optimiser), metrics
@@ -113,11 +131,11 @@ class MetaTraining(AbstractTaskLearner):
         return self.family.rollout(key, tasks, policy, self.config.steps_per_task)
 
     def draw(self, key: Key, experience: Transition | TableSamples, target: DuelingQ) -> TaskSamples | TableSamples:
-        """The samples of every task ``[tasks, batch, ...]``, used by the inner and the outer loss alike."""
+        """The samples of every task here ``[tasks, batch, ...]``, used by the inner and the outer loss alike."""
         if isinstance(experience, TableSamples):
             base = None if self.config.target_decay is None else q_tables(target, experience.observations)
             return TableSamples(experience.observations, experience.steps, base)
-        keys = jax.random.split(key, self.config.tasks)
+        keys = own_tasks(jax.random.split(key, self.config.tasks), self.shared_over)
         batch = jax.vmap(lambda key, data: Replay.of(data).sample(key, self.config.batch_size))(keys, experience)
         if self.config.target_decay is None:
             return TaskSamples(batch, None)

@@ -190,8 +190,13 @@ class QNetwork(eqx.Module):
 Network = TypeVar("Network", DuelingQ, QNetwork)
 
 
-def at_precision(network: Network, precision: str) -> Network:
-    """The same network, with so many bits in what its convolutions multiply; without convolutions, as it is.
+def with_convolutions(network: Network, precision: str, form: Convolution | None = None) -> Network:
+    """The same network with other convolutions, if it has any.
+
+    Args:
+        network: of any kind.
+        precision: how many bits there are in what they multiply.
+        form: how they are computed; as before if None.
 
     Raises:
         UpslopeError: an unknown precision.
@@ -200,7 +205,8 @@ def at_precision(network: Network, precision: str) -> Network:
         raise UpslopeError(f"There is no precision {precision!r}: choose {', '.join(PRECISIONS)}.")
     if not isinstance(network.torso, ConvolutionalTorso):
         return network
-    return eqx.tree_at(lambda network: network.torso, network, replace(network.torso, precision=precision))
+    torso = replace(network.torso, precision=precision, convolution=form or network.torso.convolution)
+    return eqx.tree_at(lambda network: network.torso, network, torso)
 
 
 class Actor(eqx.Module):

@@ -13,7 +13,7 @@ from upslope.agents.experience import Experience
 from upslope.convolution import Precision
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import huber, td_error
-from upslope.networks import QNetwork, at_precision
+from upslope.networks import QNetwork, with_convolutions
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.shaping import Shaping, shape
 from upslope.tasks.family import AbstractFamily
@@ -65,7 +65,9 @@ def for_maps() -> DQNConfig:
         batch_size=16,
         replay_capacity=1000,
         warmup_steps=50,
-        target_rate=0.02,
+        steps_per_update=4,
+        epsilon=0.3,
+        target_rate=0.05,
     )
 
 
@@ -96,7 +98,7 @@ class DQN(AbstractTaskLearner):
             self.config.hidden,
             self.family.observation_scale,
         )
-        network = at_precision(network, self.config.precision)
+        network = with_convolutions(network, self.config.precision)
         experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity, self.shaping)
         experience, _ = experience.extend(
             warmup_key, self.family, self.task, EpsilonGreedy(network, 1.0), self.config.warmup_steps, self.shaping

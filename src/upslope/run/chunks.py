@@ -11,18 +11,28 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Int
 
 from upslope.learner import AbstractLearner, in_turn
-from upslope.run.compiling import ONE_THREAD, QUICK_TO_COMPILE, QUICK_TO_RUN
+from upslope.run.compiling import ONE_THREAD, PATIENT, QUICK_TO_COMPILE, QUICK_TO_RUN
 from upslope.types import Key, Keys, Metrics
 
-_AXIS = "learners"
+_AXIS, _SHARED = "learners", "tasks"
 
 #: Bounds of `at_a_time`.
 _FEWEST, _MOST = 8, 16
 
 
-def mesh(learners: int) -> Mesh:
-    """The local devices that so many learners are laid over, in a row."""
-    return Mesh(jax.local_devices()[: devices(learners)], (_AXIS,))
+def mesh(learners: AbstractLearner, count: int) -> Mesh:
+    """The local devices that so many learners are laid over ``[learners, tasks]``.
+
+    Where more devices than learners are left, several share the tasks of each learner, if it has tasks to share.
+    """
+    own = devices(count)
+    sharing = learners.most_devices(len(jax.local_devices()) // own) if sharing_pays() else 1
+    return Mesh(np.asarray(jax.local_devices()[: own * sharing]).reshape(own, sharing), (_AXIS, _SHARED))
+
+
+def sharing_pays() -> bool:
+    """Whether devices left over are to share the tasks of a learner: not cores of one CPU (docs/performance.md)."""
+    return jax.default_backend() != "cpu"
 
 
 def devices(learners: int) -> int:
@@ -35,9 +45,9 @@ def close(learners: AbstractLearner) -> None:
     """Nothing is open."""
 
 
-def spread(batch: Any) -> Any:
-    """Lays the leading axis of a stacked PyTree ``[learners, ...]`` over the devices; they must divide it."""
-    everywhere = mesh(_length(batch))
+def spread(learners: AbstractLearner, batch: Any) -> Any:
+    """Lays the leading axis of a stacked PyTree ``[learners, ...]`` over the learners' devices; they must divide it."""
+    everywhere = mesh(learners, _length(batch))
 
     def place(leaf: Any) -> jax.Array:
         return jax.device_put(leaf, NamedSharding(everywhere, P(_AXIS) if jnp.ndim(leaf) else P()))
@@ -63,7 +73,7 @@ class Chunk(NamedTuple):
 
 def compile(learners: AbstractLearner, keys: Keys) -> None:
     """Compiles the programs that `start` and `advance` will look for. They must be laid out by `spread`."""
-    everywhere = mesh(keys.shape[0])
+    everywhere = mesh(learners, keys.shape[0])
     started = _start.lower(learners, keys, everywhere).compile()
 
     def known(info: Any, sharding: Any) -> jax.ShapeDtypeStruct:
@@ -76,7 +86,7 @@ def compile(learners: AbstractLearner, keys: Keys) -> None:
 
 def start(learners: AbstractLearner, keys: Keys) -> tuple[Any, Metrics]:
     """The states ``[learners, ...]`` before the first step, and the metrics' sums, all zero."""
-    return _start(learners, keys, mesh(keys.shape[0]))
+    return _start(learners, keys, mesh(learners, keys.shape[0]))
 
 
 def advance(learners: AbstractLearner, states: Any, totals: Metrics, steps: int, *, fresh: bool, report: bool) -> Chunk:
@@ -94,7 +104,7 @@ def advance(learners: AbstractLearner, states: Any, totals: Metrics, steps: int,
         fresh: start the sums anew.
         report: let every learner report at the end.
     """
-    shared = mesh(_length(totals))
+    shared = mesh(learners, _length(totals))
     settings = (np.int32(steps), np.bool_(fresh), np.bool_(report))
     return _advance_on(shared)(learners, states, totals, *settings, shared)
 
@@ -151,6 +161,10 @@ def _length(batch: Any) -> int:
 
 def _mapped(function: Any, devices: Mesh, *inputs: Any) -> Any:
     """A function of stacks of learners ``[learners, ...]``, on each device for its own share of them."""
+    learners, *others = inputs
+    if devices.shape[_SHARED] > 1:
+        learners = learners.over(_SHARED)
+    inputs = (learners, *others)
     specs = jax.tree.map(lambda leaf: P(_AXIS) if jnp.ndim(leaf) else P(), inputs)
     return jax.shard_map(function, mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False)(*inputs)
 
@@ -224,7 +238,7 @@ def _advance_all(
 _start = jax.jit(_start_all, static_argnames="devices", compiler_options=QUICK_TO_COMPILE)
 _advance_on_one, _advance_on_many = (
     jax.jit(_advance_all, static_argnames="devices", donate_argnames=("states", "totals"), compiler_options=options)
-    for options in (QUICK_TO_RUN, QUICK_TO_RUN | ONE_THREAD)
+    for options in (QUICK_TO_RUN, QUICK_TO_RUN | ONE_THREAD | PATIENT)
 )
 
 

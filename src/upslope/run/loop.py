@@ -139,7 +139,7 @@ class _Run:
             self.metrics.append(at_mark[1])
         if position.states is not None:
             padded = jax.tree.map(lambda leaf: _pad(leaf, self.engine), (position.states, position.totals))
-            self.states, self.totals = self.engine.spread(padded)
+            self.states, self.totals = self.engine.spread(self.learners, padded)
 
     def finish(self, session: Session, stage: Stage | None, request: StopRequest) -> None:
         """Takes the steps that are missing."""
@@ -235,7 +235,7 @@ def _laid_out(learners: AbstractLearner, keys: Keys) -> tuple[Any, AbstractLearn
         return _pad(leaf.reshape(count, *leaf.shape[len(batch) :]), engine)
 
     learners = jax.tree.map(lambda leaf: flatten(leaf) if np.ndim(leaf) else leaf, learners)
-    return engine, *engine.spread((learners, flatten(unrolled(keys))))
+    return engine, *engine.spread(learners, (learners, flatten(unrolled(keys))))
 
 
 def _pad(leaf: Any, engine: Any) -> Any:
