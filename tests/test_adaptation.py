@@ -129,6 +129,13 @@ class TestAlgorithm2:
         expected = descend(between, jax.grad(value_step_loss)(between, BATCH, LEVEL), STEP_SIZE)
         assert_trees_close(updated(CENTRED, OTHER), expected)
 
+    def test_a_shorter_second_step_is_that_much_shorter(self):
+        tenth = updated(AdvantageHead(centred=True, value_step=0.1), OTHER)
+        between = after_equation_8(OTHER)
+        shorter = descend(between, jax.grad(value_step_loss)(between, BATCH, LEVEL), 0.1 * STEP_SIZE)
+        assert_trees_close(tenth, shorter)
+        assert largest(jax.tree.map(jnp.subtract, tenth, updated(CENTRED, OTHER))) > 1e-3
+
     def test_the_current_potential_shapes_not_the_prior_s(self):
         shaped_by_prior = descend(OTHER, jax.grad(advantage_step_loss)(OTHER, PRIOR, BATCH, LEVEL), STEP_SIZE)
         moved = np.abs(shaped_by_prior.advantage_head.bias - updated(CENTRED, OTHER).advantage_head.bias)

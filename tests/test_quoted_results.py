@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from upslope.agents.dqn import for_maps
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DEVIATIONS = (ROOT / "docs" / "deviations.md").read_text(encoding="utf-8")
@@ -46,6 +48,20 @@ def test_learners_table() -> None:
             f"{row['arms'][arm]['mean_over_evaluations']:.0f}" for arm in ("unshaped", "constant", "prior")
         )
         assert f"| {name} | {means} | {row['arms']['prior']['q1'][-1]:.0f} |" in DEVIATIONS
+
+
+def test_grid_learners_table() -> None:
+    found = json.loads((ROOT / "docs" / "data" / "grid-learners" / "results.json").read_text())
+    for name, row in found["variants"].items():
+        means = [row["arms"][arm]["mean_over_evaluations"] for arm in ("unshaped", "manhattan", "oracle")]
+        cells = " | ".join(f"{mean:.2f}" for mean in [*means, sum(means) / 3])
+        assert f"| {name} | {cells} |" in DEVIATIONS
+    best = max(
+        found["variants"].values(), key=lambda row: sum(arm["mean_over_evaluations"] for arm in row["arms"].values())
+    )
+    for setting, value in best["settings"].items():
+        here = getattr(for_maps(), setting)
+        assert value == (list(here) if isinstance(here, tuple) else here), "the best of them is what is set"
 
 
 def test_the_readme_quotes_figure_4() -> None:

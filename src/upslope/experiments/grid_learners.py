@@ -18,18 +18,18 @@ from upslope.tasks.grid_potentials import CellPotential, manhattan_potential, op
 #: No learned potential is among them, so that none is favoured.
 ARMS = ("unshaped", "manhattan", "oracle")
 
+
+def _settings(steps: int, rate: float, epsilon: float = 0.1, size: float = 1e-3) -> DQNConfig:
+    return replace(for_maps(), steps_per_update=steps, target_rate=rate, epsilon=epsilon, learning_rate=size)
+
+
 VARIANTS: dict[str, DQNConfig] = {
-    f"{steps} steps per update, target rate {rate}, ε {epsilon}, step size {size}": replace(
-        for_maps(), steps_per_update=steps, target_rate=rate, epsilon=epsilon, learning_rate=size
-    )
-    for steps, rate, epsilon, size in (
-        (1, 0.02, 0.1, 1e-3),
-        (1, 0.05, 0.1, 1e-3),
-        (4, 0.02, 0.1, 1e-3),
-        (4, 0.05, 0.1, 1e-3),
-        (4, 0.05, 0.3, 1e-3),
-        (4, 0.05, 0.1, 5e-4),
-    )
+    "1 step, target rate 0.02": _settings(1, 0.02),
+    "1 step, target rate 0.05": _settings(1, 0.05),
+    "4 steps, target rate 0.02": _settings(4, 0.02),
+    "4 steps, target rate 0.05": _settings(4, 0.05),
+    "4 steps, target rate 0.05, ε 0.3": _settings(4, 0.05, epsilon=0.3),
+    "4 steps, target rate 0.05, step size 5e-4": _settings(4, 0.05, size=5e-4),
 }
 
 
