@@ -22,7 +22,8 @@ from upslope.errors import DamagedFileError, InterruptedRunError, NotSavedError,
 from upslope.meta_training import MetaTraining
 from upslope.networks import DuelingQ
 from upslope.recipes import MetaTrainingConfig
-from upslope.run.checkpoints import Checkpoints
+from upslope.run import chunks
+from upslope.run.checkpoints import Checkpoints, adopt
 from upslope.run.loop import broadcast, run
 from upslope.run.observers import EventLog
 from upslope.run.session import Session
@@ -155,6 +156,40 @@ class TestResuming:
         (file, *_) = files(tmp_path)
         arrays = storage.read(file, "upslope-checkpoint", 1).arrays
         assert arrays["states/place"].shape == (3,)
+
+
+class TestAdopting:
+    """A run that begins with one that another folder holds."""
+
+    def test_what_is_there_is_not_learned_again(self, tmp_path, monkeypatch):
+        first = walk(tmp_path / "one", final_states=False)
+        adopt(["learning"], tmp_path / "one", tmp_path / "other")
+        monkeypatch.setattr(chunks, "start", lambda *_: pytest.fail("it began anew"))
+        again = walk(tmp_path / "other", resume=True, final_states=False)
+        assert_trees_identical((again.reports, again.metrics), (first.reports, first.metrics))
+        assert files(tmp_path / "one"), "nothing was moved away"
+
+    def test_one_that_was_stopped_is_gone_on_with(self, tmp_path):
+        stop_at(tmp_path / "one", 4)
+        adopt(["learning"], tmp_path / "one", tmp_path / "other")
+        assert_same(walk(tmp_path / "other", resume=True), walk())
+
+    def test_other_settings_are_refused(self, tmp_path):
+        walk(tmp_path / "one")
+        adopt(["learning"], tmp_path / "one", tmp_path / "other")
+        with pytest.raises(UpslopeError, match="updates was 7, is now 9"):
+            walk(tmp_path / "other", resume=True, updates=9)
+
+    def test_nothing_there_is_told(self, tmp_path):
+        walk(tmp_path / "one")
+        with pytest.raises(UpslopeError, match="no training called 'walking': give the folder"):
+            adopt(["walking"], tmp_path / "one", tmp_path / "other")
+
+    def test_no_room_is_told(self, tmp_path):
+        walk(tmp_path / "one")
+        (tmp_path / "other").write_text("a file, no folder")
+        with pytest.raises(NotSavedError, match="can't be copied"):
+            adopt(["learning"], tmp_path / "one", tmp_path / "other")
 
 
 class TestWhatIsKept:

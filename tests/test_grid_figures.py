@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -63,6 +64,7 @@ class TestSettings:
             ({"experiment": "fig5", "panels": ["middle"]}, "no middle panel"),
             ({"experiment": "fig5", "iterations": 0}, "0 iterations"),
             ({"experiment": "fig1", "iterations": 5}, "fixed number of iterations"),
+            ({"experiment": "fig4", "priors_of": Path("elsewhere")}, "fig4 takes no priors of another figure"),
         ],
     )
     def test_bad_commands_write_nothing(self, arguments, message, tmp_path, monkeypatch):
@@ -145,6 +147,22 @@ class TestRun:
         assert "Figure 5" in page
         assert "3 maps" in page
         assert page.count("<table>") == 2
+
+    def test_priors_of_another_folder_are_taken_as_they_are(self, folder, tmp_path):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(catalogue.GRID_FIGURES, "fig5", lambda: replace(TINY, dqn_updates=2))
+            catalogue.reproduce(
+                "fig5", out=tmp_path / "again", panels=["right"], priors_of=folder, console=Console(quiet=True)
+            )
+        trained = [path.name for path in (tmp_path / "again" / "checkpoints").iterdir() if "DQN" not in path.name]
+        for name in trained:
+            (file,), (source,) = (
+                list((where / "checkpoints" / name).glob("*.safetensors")) for where in (tmp_path / "again", folder)
+            )
+            assert file.read_bytes() == source.read_bytes()
+        assert len(trained) == 2
+        before, after = (np.load(where / "returns.npz")["right/prior"] for where in (folder, tmp_path / "again"))
+        np.testing.assert_array_equal(after, before[..., :2])
 
     def test_a_finished_figure_resumed_is_made_from_its_checkpoints(self, folder):
         before = np.load(folder / "returns.npz")["right/prior"]
