@@ -1,5 +1,7 @@
 """Two cores against one: learners spread over a device for each core, against one device, one core, and two processes.
 
+And one learner alone, whose tasks two devices could share.
+
 ``python -m benchmarks.devices`` writes ``benchmarks/results/devices.json``. Each way is a process that waits for its
 turn, so that all share the same minutes.
 """
@@ -20,11 +22,13 @@ from benchmarks.harness import Bar, Part, Row
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.meta_training import MetaTraining
 from upslope.recipes import MetaTrainingConfig
+from upslope.run import chunks
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
 from upslope.tasks import cartpoles
 
 ROOT = Path(__file__).parents[1]
+SHARED = "Algorithm 1, tasks shared"
 JOBS = {"DQN": "DQN learners", "Algorithm 1": "seeds of Algorithm 1"}
 
 
@@ -72,6 +76,12 @@ def main(options: Options) -> None:
         for way, crew in ways.items():
             parts[f"{count} {JOBS[job]}: {way}"] = Part(lambda crew=crew: work(crew), {"learner-steps": count * steps})
             workers += crew
+    for way, job in (("one device (what upslope does)", "Algorithm 1"), ("its tasks shared by a device each", SHARED)):
+        crew = [Worker(job, 1, options.iterations, both, 2)]
+        parts[f"one seed of Algorithm 1: two cores, {way}"] = Part(
+            lambda crew=crew: work(crew), {"learner-steps": options.iterations}
+        )
+        workers += crew
     try:
         rows = harness.time_in_turns(parts, options.repeats)
     finally:
@@ -137,6 +147,8 @@ def started(job: str, count: int) -> Going:
     if job == "DQN":
         tasks = cartpoles().sample_many(jax.random.key(1), count)
         return Going(DQN(cartpoles(), tasks, None, DQNConfig(evaluation_episodes=1)), keys)
+    if job == SHARED:
+        chunks.sharing_pays = lambda: True
     config = MetaTrainingConfig(evaluation_tasks=1, evaluation_episodes=1)
     return Going(broadcast(MetaTraining(cartpoles(), config), (count,)), keys)
 
