@@ -89,7 +89,7 @@ class TestSettings:
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "fig5"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(catalogue.GRID_FIGURES, "fig5", lambda: TINY)
+        patch.setitem(catalogue.EXPERIMENTS, "fig5", replace(catalogue.EXPERIMENTS["fig5"], full=lambda: TINY))
         catalogue.reproduce("fig5", out=out, console=Console(quiet=True))
     return out
 
@@ -167,6 +167,6 @@ class TestRun:
     def test_a_finished_figure_resumed_is_made_from_its_checkpoints(self, folder):
         before = np.load(folder / "returns.npz")["right/prior"]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setitem(catalogue.GRID_FIGURES, "fig5", lambda: TINY)
+            patch.setitem(catalogue.EXPERIMENTS, "fig5", replace(catalogue.EXPERIMENTS["fig5"], full=lambda: TINY))
             catalogue.reproduce("fig5", out=folder, console=Console(quiet=True), resume=True)
         np.testing.assert_array_equal(np.load(folder / "returns.npz")["right/prior"], before)

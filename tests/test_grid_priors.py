@@ -39,7 +39,8 @@ def tiny():
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "priors"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(catalogue.GRID_PRIORS, "fig4", tiny)
+        fig4 = dataclasses.replace(catalogue.EXPERIMENTS["fig4"], full=tiny)
+        patch.setitem(catalogue.EXPERIMENTS, "fig4", fig4)
         catalogue.reproduce("fig4", out=out, console=Console(quiet=True), tasks=3)
     return out
 

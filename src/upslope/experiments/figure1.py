@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from upslope.experiments.adaptation_panel import (
     adaptation_panel,
     one_of,
 )
+from upslope.experiments.experiment import PANELS, PanelName
 from upslope.experiments.keys import Purpose, key_for, keys_per_task
 from upslope.experiments.priors import (
     blank_priors,
@@ -37,8 +37,6 @@ from upslope.run.loop import expect
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, cartpoles
 from upslope.types import Task
-
-PanelName = Literal["left", "middle", "right"]
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ def quick(config: Figure1Config) -> Figure1Config:
 def figure1(
     config: Figure1Config,
     *,
-    panels: Sequence[PanelName] = ("left", "middle", "right"),
+    panels: Sequence[PanelName] = PANELS,
     is_quick: bool = False,
     session: Session | None = None,
 ) -> FigureResult:

@@ -27,6 +27,7 @@ from upslope.tasks import JaxTasks
 from upslope.types import Task
 
 GridPanelName = Literal["left", "right"]
+GRID_PANELS: tuple[GridPanelName, ...] = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def stages(maps: Maps) -> tuple[str, str]:
 def grid_figure(
     config: GridFigureConfig,
     *,
-    panels: Sequence[GridPanelName] = ("left", "right"),
+    panels: Sequence[GridPanelName] = GRID_PANELS,
     is_quick: bool = False,
     session: Session | None = None,
 ) -> FigureResult:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from upslope.run.compiling import CompileClock
 from upslope.run.machine import hardware, versions
 from upslope.statistics import bootstrap, first_at_least, quartiles
+from upslope.storage import write_atomically
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,15 @@ def circumstances(clock: CompileClock, configuration: dict[str, Any]) -> dict[st
     }
 
 
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Writes one file of results, whole or not at all.
+
+    Raises:
+        NotSavedError: the disk is full, or the folder is gone or read-only.
+    """
+    write_atomically(path, (json.dumps(content, indent=1, default=_plain) + "\n").encode())
+
+
 def write_results(result: FigureResult, folder: Path) -> None:
     """Writes returns.npz (``panel/arm`` to ``[seed, task, evaluation]``) and results.json."""
     arrays = {}
@@ -179,8 +189,7 @@ def write_results(result: FigureResult, folder: Path) -> None:
         for variant, arms in panel.variants.items():
             arrays |= {f"{panel_name}@{variant}/{name}": arm.returns for name, arm in arms.items()}
     np.savez_compressed(folder / "returns.npz", allow_pickle=False, **arrays)
-    text = json.dumps(result.as_json(), indent=1, default=_plain)
-    (folder / "results.json").write_text(text + "\n", encoding="utf-8")
+    write_json(folder / "results.json", result.as_json())
 
 
 def _panel_json(panel: Panel) -> dict[str, Any]:

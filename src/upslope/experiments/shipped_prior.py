@@ -1,21 +1,26 @@
 """The prior that ships for CartPoles: trained, chosen on training tasks, measured on fresh ones, and its card."""
 
 from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from rich.console import Console
 
 from upslope.agents.dqn import DQNConfig
+from upslope.experiments.experiment import Experiment, Plan
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import describe_priors, mean_levels, meta_train_priors, zero_shot_returns
-from upslope.experiments.results import circumstances
+from upslope.experiments.results import circumstances, write_json
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
 from upslope.prior import Prior, trained_on
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
+from upslope.storage import write_atomically
 from upslope.tasks import cartpoles
 
 ARMS = {"unshaped": "no shaping", "constant": "constant potential (control)", "prior": "**this prior**"}
@@ -164,3 +169,23 @@ def card(prior: Prior, results: dict[str, Any]) -> str:
 
 def _words(updates: int | None) -> str:
     return "never" if updates is None else str(updates)
+
+
+def _run(plan: Plan[ShippedPriorConfig], session: Session) -> tuple[Prior, dict[str, Any]]:
+    return shipped_prior(plan.settings, session)
+
+
+def _write(made: tuple[Prior, dict[str, Any]], folder: Path) -> None:
+    prior, results = made
+    prior.save(folder / "cartpole.safetensors", overwrite=True)
+    checksum = sha256((folder / "cartpole.safetensors").read_bytes()).hexdigest()
+    write_json(folder / "cartpole.json", results | {"sha256": checksum})
+    write_atomically(folder / "cartpole.md", card(prior, results).encode())
+
+
+def _tell(made: tuple[Prior, dict[str, Any]], folder: Path, console: Console) -> None:
+    console.print(card(*made), highlight=False, soft_wrap=True)
+    console.print(f"The prior, its card and its numbers are in [bold]{folder}[/bold].")
+
+
+SHIPPED_PRIOR = Experiment(ShippedPriorConfig, quick_shipped_prior, _run, _write, _tell)

@@ -1,30 +1,44 @@
 """Studies beside the paper's figures: what is run, and the table that sums it up."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
+from rich.console import Console
 from rich.table import Table
 
 from upslope.experiments import grid_learners, learners
 from upslope.experiments.deviations import DeviationsConfig, deviations, quick_deviations
+from upslope.experiments.experiment import Experiment, Settings
+from upslope.experiments.results import write_json
 from upslope.experiments.step_ratio import StepRatioConfig, quick_step_ratio, step_ratio
 from upslope.run.session import Session
 
 
-class Study(NamedTuple):
-    """One study.
+def study(
+    full: Callable[[], Settings],
+    quick: Callable[[Settings], Settings],
+    run: Callable[[Settings, Session], dict[str, Any]],
+    table: Callable[[dict[str, Any]], Table],
+) -> Experiment[Settings, dict[str, Any]]:
+    """An experiment that writes one file, and is told by one table.
 
-    Attributes:
-        config: makes the full form's settings, which have ``seeds``, ``tasks`` and ``first_seed``.
+    Args:
+        full: makes the full form's settings.
         quick: the quick form of them.
         run: gives the content of results.json.
         table: of that content.
     """
 
-    config: Callable[[], Any]
-    quick: Callable[[Any], Any]
-    run: Callable[[Any, Session], dict[str, Any]]
-    table: Callable[[dict[str, Any]], Table]
+    def tell(results: dict[str, Any], folder: Path, console: Console) -> None:
+        console.print(table(results))
+        console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold].")
+
+    return Experiment(full, quick, lambda plan, session: run(plan.settings, session), _write, tell)
+
+
+def _write(results: dict[str, Any], folder: Path) -> None:
+    write_json(folder / "results.json", results)
 
 
 def _deviations_table(results: dict[str, Any]) -> Table:
@@ -63,14 +77,14 @@ def _step_ratio_table(results: dict[str, Any]) -> Table:
     return table
 
 
-STUDIES: dict[str, Study] = {
-    "deviations": Study(DeviationsConfig, quick_deviations, deviations, _deviations_table),
-    "learners": Study(learners.LearnersConfig, learners.quick_learners, learners.learners, _learners_table),
-    "grid-learners": Study(
+STUDIES: dict[str, Experiment[Any, dict[str, Any]]] = {
+    "deviations": study(DeviationsConfig, quick_deviations, deviations, _deviations_table),
+    "learners": study(learners.LearnersConfig, learners.quick_learners, learners.learners, _learners_table),
+    "grid-learners": study(
         grid_learners.GridLearnersConfig,
         grid_learners.quick_grid_learners,
         grid_learners.grid_learners,
         _grid_learners_table,
     ),
-    "step-ratio": Study(StepRatioConfig, quick_step_ratio, step_ratio, _step_ratio_table),
+    "step-ratio": study(StepRatioConfig, quick_step_ratio, step_ratio, _step_ratio_table),
 }

@@ -3,19 +3,25 @@
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from rich.console import Console
 
 from upslope.errors import UpslopeError
 from upslope.experiments.alternation import RATIOS, on_a_network, stable_ratio, tabular
 from upslope.experiments.credit_assignment import credit_assignment
+from upslope.experiments.experiment import Experiment, Plan
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.policy_invariance import policy_invariance
+from upslope.experiments.results import write_json
 from upslope.experiments.theorem_maps import draw_maps, kinds
+from upslope.experiments.theorem_plots import draw_theorems
 from upslope.run.machine import hardware, versions
 from upslope.run.observers import Observer
+from upslope.run.session import Session
 from upslope.tasks import grid_games
 
 
@@ -141,3 +147,21 @@ def _alternation(results: dict[str, Any]) -> list[str]:
             ends = f"{found['median'][-1]:.0e} | {found['worst'][-1]:.0e}"
             lines.append(f"| {row['maps']} × {kind} | {start} | {share} | {ends} |")
     return lines
+
+
+def _run(plan: Plan[TheoremsConfig], session: Session) -> dict[str, Any]:
+    return theorems(plan.settings, session.observers)
+
+
+def _write(results: dict[str, Any], folder: Path) -> None:
+    write_json(folder / "results.json", results)
+    (folder / "tables.md").write_text(tables(results), encoding="utf-8")
+    draw_theorems(results, folder)
+
+
+def _print(results: dict[str, Any], folder: Path, console: Console) -> None:
+    console.print(tables(results), highlight=False, soft_wrap=True)
+    console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold]; the picture is {folder / 'figure.png'}.")
+
+
+THEOREMS = Experiment(TheoremsConfig, quick_theorems, _run, _write, _print)

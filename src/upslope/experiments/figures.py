@@ -1,0 +1,60 @@
+"""The paper's figures with panels as experiments: Figure 1 on poles, 3 and 5 on maps."""
+
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from upslope.experiments.experiment import PANELS, Experiment, Plan
+from upslope.experiments.figure1 import Figure1Config, figure1, quick
+from upslope.experiments.grid_figures import (
+    GRID_PANELS,
+    GridFigureConfig,
+    grid_figure,
+    quick_grid_figure,
+    stages,
+    with_iterations,
+)
+from upslope.experiments.grid_priors import Maps
+from upslope.experiments.plots import draw
+from upslope.experiments.report import print_summary, write_report
+from upslope.experiments.results import FigureResult, write_results
+from upslope.run.session import Session
+
+
+def _run_on_poles(plan: Plan[Figure1Config], session: Session) -> FigureResult:
+    return figure1(plan.settings, panels=plan.panels, is_quick=plan.is_quick, session=session)
+
+
+def _run_on_maps(plan: Plan[GridFigureConfig], session: Session) -> FigureResult:
+    panels = [panel for panel in GRID_PANELS if panel in plan.panels]
+    return grid_figure(plan.settings, panels=panels, is_quick=plan.is_quick, session=session)
+
+
+def _write(result: FigureResult, folder: Path) -> None:
+    write_results(result, folder)
+    draw(result, folder)
+    write_report(result, folder)
+
+
+def _tell(result: FigureResult, folder: Path, console: Console) -> None:
+    print_summary(result, console)
+    console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; the picture is {folder / 'figure.png'}.")
+
+
+FIGURE_1 = Experiment(Figure1Config, quick, _run_on_poles, _write, _tell, panels=PANELS)
+
+
+def figure_on(maps: Maps) -> Experiment[GridFigureConfig, FigureResult]:
+    """Figure 3 on clean maps, Figure 5 on those with obstacles; both may begin with the priors of 2 or 4."""
+    full = partial(GridFigureConfig, maps)
+    return Experiment(
+        full,
+        quick_grid_figure,
+        _run_on_maps,
+        _write,
+        _tell,
+        with_iterations=lambda iterations: with_iterations(full(), iterations),
+        panels=GRID_PANELS,
+        trainings=lambda settings: stages(settings.maps),
+    )
