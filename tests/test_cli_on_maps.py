@@ -37,7 +37,7 @@ def test_poles_keep_theirs(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["reproduce", "all", "--seeds", "2"], "own numbers"),
+        (["reproduce", "all", "--seeds", "2"], "own seeds, tasks, iterations and priors"),
         (["train", "ddpg", "--family", "obstacles"], "use dqn"),
         (["train", "dqn", "--family", "grid", "--pole", "1"], "no pole"),
         (["meta-train", "grid", "--obstacles", "1.5"], "obstacles is 1.5"),

@@ -150,7 +150,8 @@ class TestRun:
 
     def test_priors_of_another_folder_are_taken_as_they_are(self, folder, tmp_path):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setitem(catalogue.GRID_FIGURES, "fig5", lambda: replace(TINY, dqn_updates=2))
+            shorter = replace(catalogue.EXPERIMENTS["fig5"], full=lambda: replace(TINY, dqn_updates=2))
+            patch.setitem(catalogue.EXPERIMENTS, "fig5", shorter)
             catalogue.reproduce(
                 "fig5", out=tmp_path / "again", panels=["right"], priors_of=folder, console=Console(quiet=True)
             )
