@@ -1,4 +1,4 @@
-"""How fast maps are generated, planned in, measured and played.
+"""How fast maps are generated, planned in, measured and played, and DQN learns on them.
 
 ``python -m benchmarks.maps`` writes ``benchmarks/results/maps.json``.
 """
@@ -14,11 +14,14 @@ import jax.numpy as jnp
 import tyro
 
 from benchmarks import harness
-from benchmarks.harness import Part
+from benchmarks.going import Going
+from benchmarks.harness import Bar, Part
+from upslope.agents.dqn import DQN, for_maps
 from upslope.measures import truths
 from upslope.planning import solve_all
 from upslope.run.compiling import set_up_devices
 from upslope.tasks import JaxTasks, clean_maps, grid_games, obstacle_maps
+from upslope.types import Keys
 
 
 @dataclass(frozen=True)
@@ -27,15 +30,20 @@ class Options(harness.Options):
 
     Attributes:
         maps: planned in and measured at once.
+        learners: DQNs with the paper's convolutional network, each on a map of its own, beside one alone.
+        updates: of each of them.
     """
 
     maps: int = 4000
+    learners: int = 200
+    updates: int = 10
 
 
 def main(options: Options) -> None:
     """Times all parts, in turns."""
     set_up_devices(Path(tempfile.mkdtemp()))
     count, steps = (50, 10) if options.quick else (options.maps, 1000)
+    learners, updates = (2, 2) if options.quick else (options.learners, options.updates)
     slippery = grid_games(traps=0.1, slip=0.2)
     parts = {
         "generate 4,000 distinct 8×8 training maps": lambda: obstacle_maps("train"),
@@ -48,7 +56,29 @@ def main(options: Options) -> None:
         f"{steps // 10:,} steps of 20,000 games": playing(20_000, steps // 10),
     }
     waited = {name: Part(lambda part=part: jax.block_until_ready(part())) for name, part in parts.items()}
-    harness.write("maps", options, harness.time_in_turns(waited, options.repeats))
+    for number, each in ((1, 10 * updates), (learners, updates)):
+        going = Going(*learning(number))
+        name = f"{each} updates of {number} DQN{'s' * (number > 1)} on obstacle maps"
+        waited[name] = Part(lambda going=going, each=each: going.advance(each), {"learner-updates": number * each})
+    rows = harness.time_in_turns(waited, options.repeats)
+    alone, together = (row["learner-updates/s"] for row in rows.values() if "learner-updates/s" in row)
+    bar = Bar(
+        f"{learners} DQNs: per learner an update at most half as dear as one alone", alone / together, 0.5, True, _BOUND
+    )
+    harness.write("maps", options, rows, bars=[bar])
+
+
+_BOUND = (
+    "arithmetic: one learner's products, with weights that no other shares, keep a core busy, "
+    "and two cores are all there is to gain"
+)
+
+
+def learning(count: int) -> tuple[DQN, Keys]:
+    """DQNs on maps with obstacles, and their keys ``[count]``."""
+    family = obstacle_maps()
+    learners = DQN(family, many(family, count), None, for_maps())
+    return learners, jax.random.split(jax.random.key(2), count)
 
 
 def planning(family: JaxTasks, count: int) -> Callable[[], Any]:
