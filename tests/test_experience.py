@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from support.probes import DISCRETE, discrete_family, table_potential, truncation_only, two_steps
+from upslope.agents import experience as experience_module
 from upslope.agents.experience import Experience, greedy_return
-from upslope.policies import EpsilonGreedy
+from upslope.networks import QNetwork
+from upslope.policies import EpsilonGreedy, Lookup
 from upslope.shaping import not_policy_invariant, potential_based
+from upslope.tasks import obstacle_maps
 
 FAMILY = discrete_family()
 POTENTIAL = table_potential(2.0, -3.0)
@@ -76,3 +79,37 @@ def test_greedy_return_is_the_mean_raw_return(name):
         return jnp.argmax(obs @ jnp.nan_to_num(table), axis=-1)
 
     assert float(greedy_return(jax.random.key(0), FAMILY, task, optimal, 5)) == expected
+
+
+class TestLookingUp:
+    """Scores of a finite task, computed once for all of its states: the same steps."""
+
+    MAPS = obstacle_maps()
+
+    @pytest.mark.parametrize(("steps", "tables"), [(22, 1), (21, 0)])
+    def test_the_same_steps_as_the_network_itself_takes(self, steps, tables, monkeypatch):
+        """64 states are cheaper together than 22 of them one by one."""
+        task, network = self.MAPS.sample(jax.random.key(1)), QNetwork(jax.random.key(2), (8, 8, 4), 4, (8, 8))
+        remembered = Experience.start(jax.random.key(3), self.MAPS, task, 32)
+        policy = EpsilonGreedy(network, 0.3)
+        made = []
+        monkeypatch.setattr(experience_module, "Lookup", lambda *table: made.append(table) or Lookup(*table))
+
+        def act(key):
+            return remembered.act(key, self.MAPS, task, policy, steps)[1]
+
+        def plainly(key):
+            alone = jax.tree.map(lambda leaf: leaf[None], task)
+            return self.MAPS.collect(key, alone, remembered.running, policy, steps)[1]
+
+        found, expected = jax.jit(act)(jax.random.key(4)), jax.jit(plainly)(jax.random.key(4))
+        for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_array_equal(ours, theirs[0])
+        assert len(made) == tables
+        assert len(set(np.asarray(found.action).tolist())) > 1
+
+    def test_what_is_no_network_is_left_alone(self):
+        task = self.MAPS.sample(jax.random.key(1))
+        remembered = Experience.start(jax.random.key(3), self.MAPS, task, 64)
+        _, seen = remembered.act(jax.random.key(4), self.MAPS, task, lambda key, obs: jnp.zeros(1, jnp.int32), 50)
+        assert not np.asarray(seen.action).any()
