@@ -13,8 +13,8 @@ from rich.console import Console
 from upslope.agents.ddpg import DDPGConfig
 from upslope.agents.dqn import DQNConfig
 from upslope.experiments.adaptation_panel import RULES, AdaptationPanel
-from upslope.experiments.figure1 import Figure1Config, figure1
 from upslope.experiments.plots import STYLES, draw
+from upslope.experiments.poles.figure1 import Figure1Config, figure1
 from upslope.experiments.report import findings, print_summary, write_report
 from upslope.experiments.results import FigureResult, write_results
 from upslope.recipes import MetaTrainingConfig

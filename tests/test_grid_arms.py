@@ -8,7 +8,7 @@ import pytest
 from support.comparing import assert_trees_close
 from support.plain_grids import as_board, distances, draw, pick
 from upslope.agents.dqn import DQN, DQNConfig
-from upslope.experiments.grid_arms import grid_arms, mean_levels_on_maps, value_tables
+from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps, value_tables
 from upslope.measures import truths
 from upslope.networks import DuelingQ
 from upslope.potentials import stack

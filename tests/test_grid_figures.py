@@ -15,8 +15,8 @@ from upslope.agents.dqn import DQNConfig
 from upslope.errors import UpslopeError
 from upslope.experiments import catalogue
 from upslope.experiments.adaptation_panel import RULES, AdaptationPanel
-from upslope.experiments.grid_figures import GridFigureConfig, grid_figure, quick_grid_figure, with_iterations
-from upslope.experiments.grid_priors import families
+from upslope.experiments.maps.figures import GridFigureConfig, grid_figure, quick_grid_figure, with_iterations
+from upslope.experiments.maps.priors import families
 from upslope.recipes import for_grid_games, multi_task_dqn
 from upslope.tasks.grid_maps import is_test_map
 

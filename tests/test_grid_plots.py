@@ -10,7 +10,7 @@ from matplotlib.quiver import Quiver
 
 from upslope.envs.grid import DOWN, RIGHT, GridGame
 from upslope.envs.map_text import read_map
-from upslope.experiments.grid_plots import (
+from upslope.experiments.maps.plots import (
     GOAL_COLOUR,
     START_COLOUR,
     TRAP_COLOUR,

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from upslope.experiments import catalogue
-from upslope.experiments.grid_priors import (
+from upslope.experiments.maps.priors import (
     GridPriorsConfig,
     Reading,
     families,

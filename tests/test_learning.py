@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from upslope.experiments.figure1 import Figure1Config, figure1
 from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.poles.figure1 import Figure1Config, figure1
 from upslope.experiments.priors import meta_train_priors, zero_shot_returns
 from upslope.experiments.results import FigureResult
 from upslope.recipes import MetaTrainingConfig, as_printed

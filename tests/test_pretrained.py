@@ -12,8 +12,8 @@ import pytest
 import upslope
 from upslope import pretrained
 from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.poles.shipped_prior import ShippedPriorConfig, card, quick_shipped_prior, shipped_prior
 from upslope.experiments.priors import zero_shot_returns
-from upslope.experiments.shipped_prior import ShippedPriorConfig, card, quick_shipped_prior, shipped_prior
 from upslope.prior import Prior
 from upslope.tasks import cartpoles
 

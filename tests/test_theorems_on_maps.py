@@ -13,11 +13,11 @@ from support.plain_grids import draw
 from upslope.envs.grid import DOWN, LEFT, POSITION, RIGHT, UP, GridGame
 from upslope.envs.map_text import read_map
 from upslope.errors import UpslopeError
-from upslope.experiments.alternation import Tables, alternate, on_a_network, stable_ratio, tabular
-from upslope.experiments.credit_assignment import credit_assignment
-from upslope.experiments.policy_invariance import ADDED, added_rewards, policy_invariance
-from upslope.experiments.theorem_maps import draw_maps, kinds
-from upslope.experiments.theorems import TheoremsConfig, tables
+from upslope.experiments.theorems.alternation import Tables, alternate, on_a_network, stable_ratio, tabular
+from upslope.experiments.theorems.credit_assignment import credit_assignment
+from upslope.experiments.theorems.maps import draw_maps, kinds
+from upslope.experiments.theorems.policy_invariance import ADDED, added_rewards, policy_invariance
+from upslope.experiments.theorems.study import TheoremsConfig, tables
 from upslope.planning import (
     TabularMDP,
     best_actions,
@@ -179,7 +179,7 @@ class TestTheorem32:
     @pytest.mark.parametrize(("share", "grows"), [(0.8, False), (1.4, True)])
     def test_the_bound_on_the_ratio(self, share, grows, monkeypatch):
         # The errors on a ring are one linear map; its largest eigenvalue says whether they grow.
-        monkeypatch.setattr("upslope.experiments.alternation.TABLE_STEP", 1e-3)
+        monkeypatch.setattr("upslope.experiments.theorems.alternation.TABLE_STEP", 1e-3)
         states = 60
         mdp, ratio = ring(states), share * stable_ratio(GAMMA)
         with jax.enable_x64(True):

@@ -6,8 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from upslope.experiments.experiment import PANELS, Experiment, Plan
-from upslope.experiments.figure1 import Figure1Config, figure1, quick
-from upslope.experiments.grid_figures import (
+from upslope.experiments.maps.figures import (
     GRID_PANELS,
     GridFigureConfig,
     grid_figure,
@@ -15,8 +14,9 @@ from upslope.experiments.grid_figures import (
     stages,
     with_iterations,
 )
-from upslope.experiments.grid_priors import Maps
+from upslope.experiments.maps.priors import Maps
 from upslope.experiments.plots import draw
+from upslope.experiments.poles.figure1 import Figure1Config, figure1, quick
 from upslope.experiments.report import print_summary, write_report
 from upslope.experiments.results import FigureResult, write_results
 from upslope.run.session import Session

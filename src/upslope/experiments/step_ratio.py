@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 from upslope.agents.adaptation import AdaptationConfig, AdvantageHead, UpdateRule
 from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
-from upslope.experiments.grid_figures import GridFigureConfig
-from upslope.experiments.grid_priors import families
 from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.maps.figures import GridFigureConfig
+from upslope.experiments.maps.priors import families
 from upslope.experiments.priors import meta_train_priors
 from upslope.experiments.results import EPISODE_LENGTH, SUCCESS, Panel, Score, circumstances
 from upslope.recipes import MetaTrainingConfig, for_grid_games

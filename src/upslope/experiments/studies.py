@@ -7,9 +7,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from upslope.experiments import grid_learners, learners
-from upslope.experiments.deviations import DeviationsConfig, deviations, quick_deviations
 from upslope.experiments.experiment import Experiment, Settings
+from upslope.experiments.maps import learners as on_maps
+from upslope.experiments.poles import learners as on_poles
+from upslope.experiments.poles.deviations import DeviationsConfig, deviations, quick_deviations
 from upslope.experiments.results import write_json
 from upslope.experiments.step_ratio import StepRatioConfig, quick_step_ratio, step_ratio
 from upslope.run.session import Session
@@ -51,7 +52,7 @@ def _deviations_table(results: dict[str, Any]) -> Table:
 
 
 def _learners_table(results: dict[str, Any]) -> Table:
-    arms = learners.ARMS
+    arms = on_poles.ARMS
     table = Table("settings", *arms, "prior: lower quartile at end", title="Mean return over all evaluations")
     for name, row in results["variants"].items():
         means = (f"{row['arms'][arm]['mean_over_evaluations']:.0f}" for arm in arms)
@@ -60,7 +61,7 @@ def _learners_table(results: dict[str, Any]) -> Table:
 
 
 def _grid_learners_table(results: dict[str, Any]) -> Table:
-    arms = grid_learners.ARMS
+    arms = on_maps.ARMS
     table = Table("settings", *arms, "mean of the arms", title="Mean success over all evaluations")
     for name, row in results["variants"].items():
         means = [row["arms"][arm]["mean_over_evaluations"] for arm in arms]
@@ -79,11 +80,11 @@ def _step_ratio_table(results: dict[str, Any]) -> Table:
 
 STUDIES: dict[str, Experiment[Any, dict[str, Any]]] = {
     "deviations": study(DeviationsConfig, quick_deviations, deviations, _deviations_table),
-    "learners": study(learners.LearnersConfig, learners.quick_learners, learners.learners, _learners_table),
+    "learners": study(on_poles.LearnersConfig, on_poles.quick_learners, on_poles.learners, _learners_table),
     "grid-learners": study(
-        grid_learners.GridLearnersConfig,
-        grid_learners.quick_grid_learners,
-        grid_learners.grid_learners,
+        on_maps.GridLearnersConfig,
+        on_maps.quick_grid_learners,
+        on_maps.grid_learners,
         _grid_learners_table,
     ),
     "step-ratio": study(StepRatioConfig, quick_step_ratio, step_ratio, _step_ratio_table),

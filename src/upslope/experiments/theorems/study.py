@@ -11,14 +11,14 @@ import numpy as np
 from rich.console import Console
 
 from upslope.errors import UpslopeError
-from upslope.experiments.alternation import RATIOS, on_a_network, stable_ratio, tabular
-from upslope.experiments.credit_assignment import credit_assignment
 from upslope.experiments.experiment import Experiment, Plan
 from upslope.experiments.keys import Purpose, key_for
-from upslope.experiments.policy_invariance import policy_invariance
 from upslope.experiments.results import write_json
-from upslope.experiments.theorem_maps import draw_maps, kinds
-from upslope.experiments.theorem_plots import draw_theorems
+from upslope.experiments.theorems.alternation import RATIOS, on_a_network, stable_ratio, tabular
+from upslope.experiments.theorems.credit_assignment import credit_assignment
+from upslope.experiments.theorems.maps import draw_maps, kinds
+from upslope.experiments.theorems.plots import draw_theorems
+from upslope.experiments.theorems.policy_invariance import policy_invariance
 from upslope.run.machine import hardware, versions
 from upslope.run.observers import Observer
 from upslope.run.session import Session

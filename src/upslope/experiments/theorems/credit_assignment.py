@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from upslope.experiments.theorem_maps import TOLERANCE, Maps, for_each, known
+from upslope.experiments.theorems.maps import TOLERANCE, Maps, for_each, known
 from upslope.measures import success
 from upslope.planning import best_actions, immediate_rewards, shape_mdp
 from upslope.tasks.grid_potentials import manhattan_values

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from upslope.experiments.grid_plots import draw_one, draw_sheet, learned_maps, spread_by_rank
-from upslope.experiments.grid_priors import GridPriorsConfig, families
 from upslope.experiments.keys import Purpose, key_for
+from upslope.experiments.maps.plots import draw_one, draw_sheet, learned_maps, spread_by_rank
+from upslope.experiments.maps.priors import GridPriorsConfig, families
 from upslope.measures import truths
 from upslope.prior import Prior
 

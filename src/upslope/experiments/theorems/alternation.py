@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.agents.adaptation import advantage_step_loss, value_step_loss
-from upslope.experiments.theorem_maps import Maps, for_each, known
+from upslope.experiments.theorems.maps import Maps, for_each, known
 from upslope.losses import advantage_loss, value_loss
 from upslope.maml import descend
 from upslope.measures import Truth, action_optimality

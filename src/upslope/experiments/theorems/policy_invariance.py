@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from upslope.experiments.theorem_maps import TOLERANCE, Maps, for_each, known
+from upslope.experiments.theorems.maps import TOLERANCE, Maps, for_each, known
 from upslope.measures import success
 from upslope.planning import Solution, TabularMDP, best_actions, value_iteration
 from upslope.shaping import shaped_optimum
