@@ -73,3 +73,14 @@ def test_the_readme_quotes_figure_4() -> None:
     assert f"{optimal:.0%}".replace("%", " %") + " of the greedy actions are optimal" in text
     assert f"{solved:.0%}".replace("%", " %") + " of the maps are solved" in text
     assert found["configuration"]["tasks"] == 100
+
+
+def test_clients_table() -> None:
+    text = (ROOT / "docs" / "clients.md").read_text(encoding="utf-8")
+    found = json.loads((ROOT / "docs" / "data" / "clients" / "results.json").read_text())
+    for algorithm, row in found["algorithms"].items():
+        for name, arm in row["arms"].items():
+            first = "–" if arm["median_first"] is None else f"{arm['median_first']:.0f}"
+            reached = f"{sum(one is not None for one in arm['first'])} of {len(arm['first'])}"
+            cells = f"{first} | {reached} | {arm['mean']:.0f} | {arm['q1'][-1]:.0f}"
+            assert f"| `{algorithm}/{name}` | {cells} |" in text
