@@ -8,7 +8,9 @@ import pytest
 from support.comparing import assert_trees_close
 from support.plain_grids import as_board, distances, draw, pick
 from upslope.agents.dqn import DQN, DQNConfig
+from upslope.envs.map_text import read_map
 from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps, value_tables
+from upslope.experiments.maps.priors import mean_detours
 from upslope.measures import truths
 from upslope.networks import DuelingQ
 from upslope.potentials import stack
@@ -84,3 +86,13 @@ def test_a_learner_shaped_by_the_table_is_one_shaped_by_the_network():
     assert_trees_close(by_network.states.network, by_table.states.network, rtol=1e-3, atol=1e-5)
     assert float(jnp.abs(by_table.metrics["shaped_reward"][0, -1])) > 1e-3, "nothing was shaped"
     np.testing.assert_array_equal(by_network.reports["return"], by_table.reports["return"])
+
+
+def test_detours_by_hand():
+    """A wall of two cells between start and goal must be gone around."""
+    rows = read_map("S#G\n.#.\n...")
+    maps = jax.tree.map(lambda leaf: leaf[None], rows)
+    family = grid_games((3, 3))
+    detour = mean_detours(family, truths(family.env, maps, family.gamma), maps)
+    # Six steps instead of two from the start, five instead of three from below it, none too many from the four others.
+    assert detour.tolist() == pytest.approx([(4 + 2) / 6], abs=1e-4)

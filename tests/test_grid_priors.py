@@ -92,6 +92,12 @@ def test_training_and_test_goals_of_clean_maps_are_apart():
     assert not goals & unseen
 
 
+def test_single_maps_are_told_beside_their_detours(row):
+    assert np.shape(row["maps"]["rank_correlation"]) == np.shape(row["maps"]["success"]) == (1, 3)
+    assert np.mean(row["maps"]["rank_correlation"][0]) == pytest.approx(row["final"]["rank_correlation"][0], abs=1e-6)
+    assert len(row["maps"]["detour"]) == 3
+
+
 def what_changes(readings):
     recipe = dataclasses.asdict(readings["algorithm1"].config)
     return {

@@ -208,8 +208,9 @@ class _Run:
             lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), (_along_marks(self.reports), _along_marks(self.metrics))
         )
         updates = np.asarray(self.marks[: len(self.times)])
+        times = np.asarray(self.times)
         return Outcome(
-            self.states, batch, updates, reports, metrics, clock.seconds, clock.seconds_running, clock.programs
+            self.states, batch, updates, times, reports, metrics, clock.seconds, clock.seconds_running, clock.programs
         )
 
 

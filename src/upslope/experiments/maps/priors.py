@@ -22,6 +22,7 @@ from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, clean_maps, obstacle_maps
+from upslope.tasks.grid_potentials import manhattan_potential
 from upslope.types import Task
 
 Maps = Literal["obstacles", "clean"]
@@ -170,7 +171,10 @@ def run_grid_priors(
 def describe(
     family: JaxTasks, known: Truth, tasks: Task, outcome: Outcome, config: MetaTrainingConfig
 ) -> dict[str, Any]:
-    """The curves of one reading; those of each measure ``[seeds][snapshots]``, as mean, median and worst over maps."""
+    """The curves of one reading; those of each measure ``[seeds][snapshots]``, as mean, median and worst over maps.
+
+    Of the priors themselves the single maps are told, ``[seeds][maps]``, beside the detours that they ask for.
+    """
     seeds, snapshots = outcome.reports["return"].shape
     curves: dict[str, Any] = {}
     for seed in range(seeds):
@@ -183,9 +187,14 @@ def describe(
                     rows = curves.setdefault(measure, {}).setdefault(kind, [[] for _ in range(seeds)])
                     rows[seed].append(number)
     chosen = [best_snapshot(row, config) for row in outcome.reports["return"]]
+    networks = [
+        jax.tree.map(lambda leaf, i=seed, j=index: jnp.asarray(leaf[i, j]), outcome.reports["prior"])
+        for seed, index in enumerate(chosen)
+    ]
+    last = [measure_all(family.env, known, tasks, network, family.max_steps) for network in networks]
     return {
         "iterations": outcome.updates.tolist(),
-        "seconds": (outcome.updates / outcome.updates[-1] * outcome.seconds_running).tolist(),
+        "seconds": (outcome.times - outcome.times[0]).tolist(),
         "seconds_compiling": outcome.seconds_compiling,
         "outer_loss": outcome.metrics["outer_loss"].tolist(),
         "success_on_training_maps": outcome.reports["return"].tolist(),
@@ -195,7 +204,21 @@ def describe(
             name: [float(row[index]) for row, index in zip(kinds["mean"], chosen, strict=True)]
             for name, kinds in curves.items()
         },
+        "maps": {
+            "detour": mean_detours(family, known, tasks).tolist(),
+            **{name: [getattr(one, name).tolist() for one in last] for name in ("rank_correlation", "success")},
+        },
     }
+
+
+def mean_detours(family: JaxTasks, known: Truth, tasks: Task) -> Float[Array, "tasks"]:
+    """By how many steps the shortest path is longer than rows and columns to the goal, a mean over states that count.
+
+    Of maps without traps and slipping, where V* is γ to the power of a path's length, less one.
+    """
+    ratios = known.solution.value / manhattan_potential(family, tasks).values
+    steps = jnp.log(jnp.where(known.states, ratios, 1.0)) / jnp.log(family.gamma)
+    return jnp.mean(steps, axis=-1, where=known.states)
 
 
 @eqx.filter_jit
