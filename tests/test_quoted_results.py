@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from upslope.agents.dqn import for_maps
@@ -93,3 +94,32 @@ def test_clients_table() -> None:
             reached = f"{sum(one is not None for one in arm['first'])} of {len(arm['first'])}"
             cells = f"{first} | {reached} | {arm['mean']:.0f} | {arm['q1'][-1]:.0f}"
             assert f"| `{algorithm}/{name}` | {cells} |" in text
+
+
+class TestGrids:
+    """docs/grids.md."""
+
+    TEXT = (ROOT / "docs" / "grids.md").read_text(encoding="utf-8")
+    READINGS = json.loads((ROOT / "docs" / "data" / "fig4" / "results.json").read_text())["readings"]
+
+    def test_what_the_priors_know(self) -> None:
+        for name, row in self.READINGS.items():
+            cells = (
+                f"{np.mean(seeds):.3f} ({min(seeds):.3f} to {max(seeds):.3f})"
+                for seeds in (row["final"][measure] for measure in ("rank_correlation", "action_optimality", "success"))
+            )
+            assert f"| `{name}` | {' | '.join(cells)} |" in self.TEXT
+
+    def test_what_limits_them(self) -> None:
+        maps = {name: np.asarray(values) for name, values in self.READINGS["algorithm1"]["maps"].items()}
+        correlation, success = maps["rank_correlation"].mean(axis=0), maps["success"].mean(axis=0)
+        assert f"{np.corrcoef(maps['detour'], correlation)[0, 1]:.2f}".replace("-", "−") in self.TEXT
+        for words, low, high in (
+            ("below 0.25", -np.inf, 0.25),
+            ("0.25 to 0.75", 0.25, 0.75),
+            ("0.75 to 1.5", 0.75, 1.5),
+            ("1.5 and more", 1.5, np.inf),
+        ):
+            here = (low <= maps["detour"]) & (maps["detour"] < high)
+            cells = f"{here.sum()} | {correlation[here].mean():.3f} | {success[here].mean():.3f}"
+            assert f"| {words} | {cells} |" in self.TEXT
