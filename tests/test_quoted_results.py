@@ -123,3 +123,14 @@ class TestGrids:
             here = (low <= maps["detour"]) & (maps["detour"] < high)
             cells = f"{here.sum()} | {correlation[here].mean():.3f} | {success[here].mean():.3f}"
             assert f"| {words} | {cells} |" in self.TEXT
+
+    def test_shaped_dqn(self) -> None:
+        panel = json.loads((ROOT / "docs" / "data" / "fig5" / "results.json").read_text())["panels"]["right"]
+        for name, arm in panel["arms"].items():
+            first = "never" if arm["first_median_solved"] is None else arm["first_median_solved"]
+            less = panel["prior_less"].get(name)
+            gap = "{mean:.3f} ({low:.3f} to {high:.3f}) ".format(**less).replace("-", "−") if less else ""
+            cells = f"{arm['mean_over_evaluations']:.3f} | {first} | {arm['q1'][-1]:.0f} | {gap}|"
+            assert f"| `{name}` | {cells}" in self.TEXT
+        means = {name: arm["mean_over_evaluations"] for name, arm in panel["arms"].items()}
+        assert f"{100 * (1 - means['prior'] / means['oracle']):.1f} % below V*" in self.TEXT
