@@ -95,4 +95,10 @@ def test_detours_by_hand():
     family = grid_games((3, 3))
     detour = mean_detours(family, truths(family.env, maps, family.gamma), maps)
     # Six steps instead of two from the start, five instead of three from below it, none too many from the four others.
-    assert detour.tolist() == pytest.approx([(4 + 2) / 6], abs=1e-4)
+    assert detour.tolist() == [(4 + 2) / 6]
+
+
+def test_clean_maps_ask_for_no_detours():
+    family = grid_games((5, 6), obstacles=0.0)
+    maps = draw(family, 20)
+    assert not mean_detours(family, truths(family.env, maps, family.gamma), maps).any()

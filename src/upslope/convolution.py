@@ -76,7 +76,8 @@ def winograd_convolution(images: Images, kernel: Kernel) -> Images:
 
 def _combined(parts: list[Array], weights: np.ndarray) -> list[Array]:
     """Sums of arrays with a row of weights each; nothing is multiplied by zero."""
-    return [sum(float(weight) * parts[index] for index, weight in enumerate(row) if weight) for row in weights]  # type: ignore[misc]
+    products = ([float(weight) * parts[index] for index, weight in enumerate(row) if weight] for row in weights)
+    return [functools.reduce(jnp.add, row) for row in products]
 
 
 # Three bilinear maps, each with the two others as its derivatives: those of <cotangents, convolution(images, kernel)>.

@@ -159,12 +159,9 @@ def _length(batch: Any) -> int:
     return next(leaf.shape[0] for leaf in jax.tree.leaves(batch) if jnp.ndim(leaf))
 
 
-def _mapped(function: Any, devices: Mesh, *inputs: Any) -> Any:
+def _mapped(function: Any, devices: Mesh, learners: AbstractLearner, *others: Any) -> Any:
     """A function of stacks of learners ``[learners, ...]``, on each device for its own share of them."""
-    learners, *others = inputs
-    if devices.shape[_SHARED] > 1:
-        learners = learners.over(_SHARED)
-    inputs = (learners, *others)
+    inputs = (learners.over(_SHARED) if devices.shape[_SHARED] > 1 else learners, *others)
     specs = jax.tree.map(lambda leaf: P(_AXIS) if jnp.ndim(leaf) else P(), inputs)
     return jax.shard_map(function, mesh=devices, in_specs=specs, out_specs=P(_AXIS), check_vma=False)(*inputs)
 

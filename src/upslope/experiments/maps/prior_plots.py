@@ -23,12 +23,11 @@ def draw_grid_priors(results: dict[str, Any], aims: dict[str, float], folder: Pa
     the lowest to the highest seed. The last panel shows the single maps, where they ask for detours.
     """
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
-        detours = any(np.any(row["maps"]["detour"]) for row in results["readings"].values())
-        columns = len(TITLES) + detours
+        columns = len(TITLES) + any(results["detours"])
         figure, axes = plt.subplots(1, columns, figsize=(3.4 * columns, 3.2), layout="constrained")
-        if detours:
+        if any(results["detours"]):
             _draw_detours(results, axes[-1])
-        for axis, (measure, title) in zip(axes, TITLES.items(), strict=False):
+        for axis, (measure, title) in zip(axes[: len(TITLES)], TITLES.items(), strict=True):
             for row in results["readings"].values():
                 seeds = np.asarray(row["measures"][measure]["mean"])
                 (line,) = axis.plot(row["iterations"], seeds.mean(axis=0), label=row["what"], linewidth=1.5)
@@ -55,7 +54,6 @@ def draw_grid_priors(results: dict[str, Any], aims: dict[str, float], folder: Pa
 def _draw_detours(results: dict[str, Any], axis: Axes) -> None:
     """What limits a prior: the more a map's walls stand in the way, the less its V is in order."""
     for row in results["readings"].values():
-        maps = row["maps"]
-        correlation = np.mean(maps["rank_correlation"], axis=0)
-        axis.scatter(maps["detour"], correlation, s=8, alpha=0.6, linewidth=0, label=row["what"])
+        correlation = np.mean(row["maps"]["rank_correlation"], axis=0)
+        axis.scatter(results["detours"], correlation, s=8, alpha=0.6, linewidth=0)
     axis.set(title="single maps", xlabel="mean detour, steps", ylabel="rank correlation of V with V*")

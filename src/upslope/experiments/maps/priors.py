@@ -155,6 +155,7 @@ def run_grid_priors(
         "figure": "grid priors",
         "maps": config.maps,
         "readings": rows,
+        "detours": mean_detours(family, known, tasks).tolist(),
         **circumstances(
             clock,
             {
@@ -173,25 +174,25 @@ def describe(
 ) -> dict[str, Any]:
     """The curves of one reading; those of each measure ``[seeds][snapshots]``, as mean, median and worst over maps.
 
-    Of the priors themselves the single maps are told, ``[seeds][maps]``, beside the detours that they ask for.
+    Of the priors themselves the single maps are told too, ``[seeds][maps]``.
     """
     seeds, snapshots = outcome.reports["return"].shape
+    chosen = [best_snapshot(row, config) for row in outcome.reports["return"]]
     curves: dict[str, Any] = {}
+    maps: dict[str, list[list[float]]] = {"rank_correlation": [], "success": []}
     for seed in range(seeds):
         for index in range(snapshots):
             network = jax.tree.map(lambda leaf, i=seed, j=index: jnp.asarray(leaf[i, j]), outcome.reports["prior"])
-            measures = summarise(measure_all(family.env, known, tasks, network, family.max_steps))
+            found = measure_all(family.env, known, tasks, network, family.max_steps)
+            if index == chosen[seed]:
+                for name, of_seeds in maps.items():
+                    of_seeds.append(getattr(found, name).tolist())
+            measures = summarise(found)
             extras = {name: {"mean": float(value)} for name, value in health(family, known, tasks, network).items()}
             for measure, numbers in (measures | extras).items():
                 for kind, number in numbers.items():
                     rows = curves.setdefault(measure, {}).setdefault(kind, [[] for _ in range(seeds)])
                     rows[seed].append(number)
-    chosen = [best_snapshot(row, config) for row in outcome.reports["return"]]
-    networks = [
-        jax.tree.map(lambda leaf, i=seed, j=index: jnp.asarray(leaf[i, j]), outcome.reports["prior"])
-        for seed, index in enumerate(chosen)
-    ]
-    last = [measure_all(family.env, known, tasks, network, family.max_steps) for network in networks]
     return {
         "iterations": outcome.updates.tolist(),
         "seconds": (outcome.times - outcome.times[0]).tolist(),
@@ -204,10 +205,7 @@ def describe(
             name: [float(row[index]) for row, index in zip(kinds["mean"], chosen, strict=True)]
             for name, kinds in curves.items()
         },
-        "maps": {
-            "detour": mean_detours(family, known, tasks).tolist(),
-            **{name: [getattr(one, name).tolist() for one in last] for name in ("rank_correlation", "success")},
-        },
+        "maps": maps,
     }
 
 
@@ -217,7 +215,7 @@ def mean_detours(family: JaxTasks, known: Truth, tasks: Task) -> Float[Array, "t
     Of maps without traps and slipping, where V* is γ to the power of a path's length, less one.
     """
     ratios = known.solution.value / manhattan_potential(family, tasks).values
-    steps = jnp.log(jnp.where(known.states, ratios, 1.0)) / jnp.log(family.gamma)
+    steps = jnp.round(jnp.log(jnp.where(known.states, ratios, 1.0)) / jnp.log(family.gamma))
     return jnp.mean(steps, axis=-1, where=known.states)
 
 
