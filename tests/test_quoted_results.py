@@ -112,7 +112,11 @@ class TestGrids:
             assert f"| `{name}` | {' | '.join(cells)} |" in self.TEXT
 
     def test_what_limits_them(self) -> None:
-        maps = self.READINGS["algorithm1"]["maps"]
+        row = self.READINGS["algorithm1"]
+        on_training_maps = np.mean([of_seed[-1] for of_seed in row["success_on_training_maps"]])
+        assert f"({on_training_maps:.3f} on average)" in self.TEXT
+        assert f"({np.mean(row['final']['success']):.3f})" in self.TEXT
+        maps = row["maps"]
         detours = np.asarray(self.FIGURE_4["detours"])
         correlation, success = np.mean(maps["rank_correlation"], axis=0), np.mean(maps["success"], axis=0)
         assert f"{np.corrcoef(detours, correlation)[0, 1]:.2f}".replace("-", "−") in self.TEXT

@@ -42,7 +42,7 @@ class GridFigureConfig:
         dqn_updates: length of the right panel.
         every: updates between evaluations there.
         meta_training: Algorithm 1.
-        multi_task: the control, plain DQN over all training maps; an iteration costs about as much.
+        multi_task: the control, plain DQN over all training maps; an iteration takes a little longer.
         panel: stops and step sizes of the left panel.
         adaptation: sizes of batches and replay in the left panel.
         dqn: the learner of the right panel.

@@ -62,7 +62,7 @@ class GridPriorsConfig:
 
 
 def grid_priors(maps: Maps, iterations: int = 6000) -> GridPriorsConfig:
-    """The recipe, and plain multi-task DQN for as many iterations, which cost the same."""
+    """The recipe, and plain multi-task DQN for as many iterations, which take a little longer."""
     return GridPriorsConfig(
         maps,
         {
