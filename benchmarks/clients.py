@@ -4,6 +4,7 @@
 It takes the better part of an hour; started again, it goes on with the runs that are missing.
 """
 
+import itertools
 import json
 import time
 from dataclasses import asdict, dataclass, replace
@@ -18,6 +19,7 @@ import tyro
 from rich.progress import track
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.noise import NormalActionNoise
 
 import upslope
 from benchmarks.clients_report import ARMS, Run, write_report
@@ -35,19 +37,34 @@ STEPS: dict[str, tuple[int, int]] = {"DQN": (4000, 100), "PPO": (20_000, 500), "
 SMALL = {"buffer_size": 10_000, "learning_starts": 100}
 DQN = SMALL | {"learning_rate": 1e-3, "batch_size": 64, "train_freq": 1, "policy_kwargs": {"net_arch": [32, 32]}}
 
-#: What was tried for DQN on tuning poles, with ``--tuning``.
-VARIANTS: dict[str, dict[str, Any]] = {
-    "target copied every 100 steps": DQN | {"target_update_interval": 100},
-    "soft target": DQN | {"target_update_interval": 1, "tau": 0.01},
-    "soft target, step size decayed": DQN | {"target_update_interval": 1, "tau": 0.01, "decays": True},
+SAC = SMALL | {"policy_kwargs": {"net_arch": [64, 64]}}
+FAST = {"learning_rate": 1e-3, "tau": 0.01}
+
+#: What was tried on tuning poles, with ``--tuning``.
+VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
+    "DQN": {
+        "target copied every 100 steps": DQN | {"target_update_interval": 100},
+        "soft target": DQN | {"target_update_interval": 1, "tau": 0.01},
+        "soft target, step size decayed": DQN | {"target_update_interval": 1, "tau": 0.01, "decays": True},
+    },
+    "SAC": {
+        "defaults": SAC,
+        "step size 1e-3, target rate 0.01": SAC | FAST,
+        "the same, entropy's weight from 0.1": SAC | FAST | {"ent_coef": "auto_0.1"},
+    },
+    "TD3": {
+        "noise 0.1": SAC | {"noise": 0.1},
+        "noise 0.1, target rate 0.01": SAC | FAST | {"noise": 0.1},
+        "noise 0.3, target rate 0.01": SAC | FAST | {"noise": 0.3},
+    },
 }
 
-#: One setting for all arms. Of DQN's variants the one with the highest return over all arms; the others are untuned.
+#: One setting for all arms: of each learner's variants the one with the highest return over all arms. PPO is untuned.
 SETTINGS: dict[str, dict[str, Any]] = {
-    "DQN": VARIANTS["soft target, step size decayed"],
+    "DQN": VARIANTS["DQN"]["soft target, step size decayed"],
     "PPO": {"n_steps": 256, "policy_kwargs": {"net_arch": [32, 32]}},
-    "SAC": SMALL | {"policy_kwargs": {"net_arch": [64, 64]}},
-    "TD3": SMALL | {"policy_kwargs": {"net_arch": [64, 64]}},
+    "SAC": VARIANTS["SAC"]["defaults"],
+    "TD3": VARIANTS["TD3"]["noise 0.1"],
 }
 
 
@@ -62,7 +79,7 @@ class Options:
     episodes: int = 5
     """Greedy ones on the raw environment at every evaluation, from the same starts each time."""
     tuning: bool = False
-    """Instead: the variants of DQN on four poles of other seeds, written into ``tuning.jsonl``."""
+    """Instead: the learners' variants on four poles of other seeds, written into ``tuning.jsonl``."""
     quick: bool = False
     """Two seeds and few steps, to see that all works."""
     out: Path = FOLDER
@@ -98,16 +115,17 @@ def main(options: Options) -> None:
 
 
 def tune(options: Options) -> None:
-    """Mean returns of DQN's variants; all arms count, so that the choice favours none."""
+    """Mean returns of the learners' variants; all arms count, so that the choice favours none."""
     path = options.out / "tuning.jsonl"
-    for seed in TUNING_SEEDS:
-        for variant, settings in VARIANTS.items():
+    done = {(*run.name, run.variant) for run in read(path)}
+    for algorithm, seed in itertools.product(options.algorithms, TUNING_SEEDS):
+        for variant, settings in VARIANTS.get(algorithm, {}).items():
             for arm in ARMS:
-                if any(run.name == ("DQN", seed, arm) and run.variant == variant for run in read(path)):
+                if (algorithm, seed, arm, variant) in done:
                     continue
-                run = learn("DQN", seed, arm, replace(options, quick=False), settings, variant)
+                run = learn(algorithm, seed, arm, replace(options, quick=False), settings, variant)
                 append(path, run)
-                print(variant, arm, f"{run.length:.2f} m", f"{np.mean(run.returns):.0f}")
+                print(algorithm, variant, arm, f"{run.length:.2f} m", f"{np.mean(run.returns):.0f}", flush=True)
 
 
 def append(path: Path, run: Run) -> None:
@@ -138,18 +156,23 @@ def learn(algorithm: str, seed: int, arm: str, options: Options, settings: dict[
     steps, every = (600, 200) if options.quick else STEPS[algorithm]
     began = time.perf_counter()
     learner = getattr(sb3, algorithm)
-    model = learner("MlpPolicy", env, gamma=prior.gamma, seed=seed, device="cpu", **with_schedule(settings))
+    actions: Any = env.action_space
+    model = learner("MlpPolicy", env, gamma=prior.gamma, seed=seed, device="cpu", **for_sb3(settings, actions.shape))
     evaluation = GreedyReturns(gym.make_vec(name, options.episodes, length=length), every, seed)
     model.learn(steps, callback=evaluation)
     curve = evaluation.returns[: steps // every + 1]  # PPO goes on to the end of its last rollout
     return Run(algorithm, seed, arm, length, every, curve, round(time.perf_counter() - began, 1), variant)
 
 
-def with_schedule(settings: dict[str, Any]) -> dict[str, Any]:
-    """The settings, with the step size falling linearly to zero where they say so."""
-    plain = {name: value for name, value in settings.items() if name != "decays"}
-    size = settings.get("learning_rate")
-    return plain | {"learning_rate": lambda left: left * size} if settings.get("decays") else plain
+def for_sb3(settings: dict[str, Any], actions: tuple[int, ...]) -> dict[str, Any]:
+    """The settings, with objects for a step size that falls linearly to zero, and for the noise of continuous actions."""
+    given = dict(settings)
+    if given.pop("decays", False):
+        size = given["learning_rate"]
+        given["learning_rate"] = lambda left: left * size
+    if "noise" in given:
+        given["action_noise"] = NormalActionNoise(np.zeros(actions), np.full(actions, given.pop("noise")))
+    return given
 
 
 class GreedyReturns(BaseCallback):
