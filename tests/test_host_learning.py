@@ -101,6 +101,32 @@ def test_a_chunk_is_as_good_as_its_parts():
     assert_trees_close(ends[0], ends[1])
 
 
+def test_on_the_host_the_network_of_one_iteration_ago_acts():
+    learner = MetaTraining(FAMILY, SMALL)
+    before = learner.init(jax.random.key(0))
+    after, _ = learner.step(before)
+    assert_trees_close(before.acting, before.theta)
+    assert_trees_close(after.acting, before.theta)
+    moved = jax.tree.map(lambda new, old: float(jnp.abs(new - old).max()), after.theta, after.acting)
+    assert max(jax.tree.leaves(moved)) > 0
+
+
+def test_what_is_gathered_ahead_is_what_the_next_step_would_gather():
+    learner = MetaTraining(FAMILY, SMALL)
+    state, _ = learner.step(learner.init(jax.random.key(0)))
+    ahead = learner.gather_ahead(state)
+    following, _ = learner.step(state)
+    for found, expected in zip(ahead(), learner.gather(following), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_compiled_environments_have_no_need_of_that():
+    learner = MetaTraining(upslope.cartpoles(), SMALL)
+    state = learner.init(jax.random.key(0))
+    assert state.acting is None
+    assert learner.gather_ahead(state) is None
+
+
 def test_shapes_are_found_without_an_environment():
     def refuse(task):
         raise RuntimeError("an environment was made")

@@ -71,6 +71,8 @@ class TestNumpy:
         images = IMAGES.astype(np.float32)
         expected = jax.vmap(network)(jnp.asarray(images))
         np.testing.assert_allclose(numpy_batch(network)(images), expected, rtol=1e-5, atol=1e-6)
+        in_order = numpy_batch(network, order_only=True)(images)
+        np.testing.assert_array_equal(np.argsort(in_order), np.argsort(expected))
 
     @pytest.mark.parametrize("activation", ["relu", "tanh"])
     def test_potentials_are_equal_to_jax_in_double_precision(self, family, activation, tmp_path):

@@ -1,6 +1,7 @@
 """What everything that learns has in common: a pair of pure functions over immutable PyTrees."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -60,6 +61,15 @@ class AbstractTaskLearner(AbstractLearner):
     @abstractmethod
     def gather(self, state: Any) -> Any:
         """The experience of one step."""
+
+    def gather_ahead(self, state: Any) -> Callable[[], Any] | None:
+        """What gathers the *next* step's experience, if that needs nothing of this step's update; else None.
+
+        Host environments then take their steps while gradients are computed. It is called when the update has begun,
+        which consumes the state, so it keeps copies of what it needs.
+        """
+        del state
+        return None
 
     @abstractmethod
     def update(self, state: Any, gathered: Any) -> tuple[Any, Metrics]:

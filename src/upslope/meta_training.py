@@ -1,5 +1,6 @@
 """Algorithm 1: meta-learning the potential function prior."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -31,6 +32,8 @@ class MetaTrainingState(eqx.Module):
 
     Attributes:
         theta: θ.
+        acting: θ one iteration ago, which acts on the host, where environments take their steps while gradients are
+            computed; None with compiled environments, where θ itself acts.
         target: the averaged network of the inner TD target.
         average: moving average of θ: the prior.
         trial_key: draws the extra training tasks; the same for every snapshot, so that they compare.
@@ -42,6 +45,7 @@ class MetaTrainingState(eqx.Module):
     target: DuelingQ
     average: DuelingQ
     optimiser: optax.OptState
+    acting: DuelingQ | None = None
 
 
 class TaskSamples(eqx.Module):
@@ -84,11 +88,19 @@ class MetaTraining(AbstractTaskLearner):
         # A table has no weights to be adapted: its gradients are of first order.
         form = fastest_form(second_order=config.posterior == "network")
         theta = with_convolutions(theta, config.precision, form)
-        return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta))
+        acting = theta if self.family.on_host else None
+        return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta), acting)
 
     def gather(self, state: MetaTrainingState) -> Transition | TableSamples:
         _, task_key, collect_key, _ = jax.random.split(state.key, 4)
-        return self.collect(collect_key, self.family.sample_many(task_key, self.config.tasks), state.theta)
+        acting = state.theta if state.acting is None else state.acting
+        return self.collect(collect_key, self.family.sample_many(task_key, self.config.tasks), acting)
+
+    def gather_ahead(self, state: MetaTrainingState) -> Callable[[], Transition | TableSamples] | None:
+        if state.acting is None:
+            return None
+        key, tasks, policy = _drawn_ahead(self, state.key, state.theta)
+        return self.family.rollout_later(key, tasks, policy, self.config.steps_per_task)
 
     def update(
         self, state: MetaTrainingState, gathered: Transition | TableSamples
@@ -114,6 +126,7 @@ class MetaTraining(AbstractTaskLearner):
             self._target(theta, state.target),
             self._average(theta, state.average),
             optimiser,
+            None if state.acting is None else state.theta,
         )
         if isinstance(gathered, TableSamples):
             signs = {"reward": jnp.mean(gathered.steps.reward, axis=-1)}
@@ -127,8 +140,11 @@ class MetaTraining(AbstractTaskLearner):
             assert isinstance(self.family, JaxTasks), "init refuses all others"
             epsilon = jnp.linspace(*self.config.epsilon, self.config.environments)
             return collect_steps(key, self.family, tasks, theta, epsilon, self.config.steps_per_task)
-        policy = EpsilonGreedy(theta, jnp.linspace(*self.config.epsilon, self.config.tasks))
-        return self.family.rollout(key, tasks, policy, self.config.steps_per_task)
+        return self.family.rollout(key, tasks, self.behaviour(theta), self.config.steps_per_task)
+
+    def behaviour(self, theta: DuelingQ) -> EpsilonGreedy:
+        """What acts on a batch of tasks, with an ε for each."""
+        return EpsilonGreedy(theta, jnp.linspace(*self.config.epsilon, self.config.tasks))
 
     def draw(self, key: Key, experience: Transition | TableSamples, target: DuelingQ) -> TaskSamples | TableSamples:
         """The samples of every task here ``[tasks, batch, ...]``, used by the inner and the outer loss alike."""
@@ -223,6 +239,14 @@ class MetaTraining(AbstractTaskLearner):
 
     def _average(self, theta: DuelingQ, average: DuelingQ) -> DuelingQ:
         return optax.incremental_update(theta, average, 1 - self.config.averaging)
+
+
+@jax.jit
+def _drawn_ahead(learner: MetaTraining, key: Key, theta: DuelingQ) -> tuple[Key, Any, EpsilonGreedy]:
+    """What the next iteration's `MetaTraining.collect` is given, in arrays of its own."""
+    _, task_key, collect_key, _ = jax.random.split(jax.random.split(key, 4)[0], 4)
+    policy = learner.behaviour(jax.tree.map(jnp.copy, theta))
+    return collect_key, learner.family.sample_many(task_key, learner.config.tasks), policy
 
 
 def best_snapshot(returns: Float[np.ndarray, "snapshots"], config: MetaTrainingConfig) -> int:

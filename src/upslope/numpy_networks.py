@@ -8,14 +8,16 @@ import numpy as np
 from upslope.networks import MLP, Actor, ConvolutionalTorso, DuelingQ, QNetwork
 from upslope.numpy_convolution import convolve
 
-_ACTIVATIONS: dict[str, Callable] = {"relu": lambda x: np.maximum(x, 0.0), "tanh": np.tanh}
+#: Functions of an array, and of the array that their result goes into.
+_ACTIVATIONS: dict[str, Callable] = {"relu": lambda x, out=None: np.maximum(x, 0.0, out=out), "tanh": np.tanh}
 
 
-def numpy_batch(function: Any) -> Callable[[np.ndarray], np.ndarray] | None:
+def numpy_batch(function: Any, *, order_only: bool = False) -> Callable[[np.ndarray], np.ndarray] | None:
     """The numpy form of a network, or of a method of one, for batches ``[n, *obs]``; None if there is none.
 
     Args:
         function: a `DuelingQ` (its Q), its ``advantage``, a `QNetwork` or an `Actor`, unbatched.
+        order_only: only the order of the actions counts: of Q the raw A will do, which orders them alike.
     """
     owner = getattr(function, "__self__", function)
     method = getattr(getattr(function, "__func__", None), "__name__", "__call__")
@@ -24,7 +26,7 @@ def numpy_batch(function: Any) -> Callable[[np.ndarray], np.ndarray] | None:
     torso = _torso(owner.torso)
     if isinstance(owner, DuelingQ) and method in ("__call__", "advantage"):
         advantage = _linear(owner.advantage_head)
-        if method == "advantage":
+        if method == "advantage" or order_only:
             return lambda obs: advantage(torso(obs))
         both = _linear(owner.value_head, owner.advantage_head)
         return lambda obs: _dueling(both(torso(obs)))
@@ -61,21 +63,37 @@ def _convolutional(torso: ConvolutionalTorso) -> Callable[[np.ndarray], np.ndarr
 
 
 def _fully_connected(torso: MLP) -> Callable[[np.ndarray], np.ndarray]:
-    scale = np.asarray(torso.scale, np.float32)
-    layers = [_linear(layer) for layer in torso.layers]
+    """The hidden layers: from observations ``[n, inputs]`` to features and a last column of ones ``[n, features + 1]``.
+
+    At ten environments a step costs as many microseconds as there are calls of NumPy, so scales and biases are parts of
+    the weights, biases as the weights of ones.
+    """
+    first, *others = torso.layers
+    weights = [_weights(first) * np.asarray([*torso.scale, 1.0], np.float32)[:, None], *map(_weights, others)]
     activate = _ACTIVATIONS[torso.activation]
+    inputs: list[np.ndarray] = []
+    views: list[np.ndarray] = []
 
     def call(obs: np.ndarray) -> np.ndarray:
-        features = obs * scale
-        for layer in layers:
-            features = activate(layer(features))
-        return features
+        if not inputs or len(inputs[0]) != len(obs):
+            widths = (len(weights[0]), *(weight.shape[1] + 1 for weight in weights))
+            inputs[:] = [np.ones((len(obs), width), np.float32) for width in widths]
+            views[:] = [array[:, :-1] for array in inputs]
+        views[0][:] = obs
+        for weight, features, outputs in zip(weights, inputs, views[1:], strict=False):
+            activate(np.dot(features, weight), outputs)
+        return inputs[-1]
 
     return call
 
 
 def _linear(*layers: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Layers on the same features, side by side in one product."""
-    weight = np.concatenate([np.asarray(layer.weight) for layer in layers]).T.copy()
-    bias = np.concatenate([np.asarray(layer.bias) for layer in layers])
-    return lambda features: features @ weight + bias
+    """Layers on the same features, which a column of ones follows, side by side in one product."""
+    weight = _weights(*layers)
+    return lambda features: np.dot(features, weight)
+
+
+def _weights(*layers: Any) -> np.ndarray:
+    """The layers' weights ``[inputs + 1, outputs]``, side by side, the last row their biases."""
+    rows = [np.concatenate([np.asarray(layer.weight), np.asarray(layer.bias)[:, None]], axis=1) for layer in layers]
+    return np.concatenate(rows).T.copy()

@@ -6,7 +6,7 @@ actions for the same keys.
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -22,8 +22,11 @@ class AbstractPolicy(eqx.Module):
     """A policy in two parts: the noise of a step, which depends on nothing else, and what is done with it.
 
     Attributes:
+        order_only: whether nothing counts of the outputs but which is the largest.
         network: scores of the actions, or the action itself, of one observation.
     """
+
+    order_only: ClassVar[bool] = False
 
     network: eqx.AbstractVar[Callable[..., Float[Array, "..."]]]
 
@@ -63,7 +66,7 @@ class AbstractPolicy(eqx.Module):
             keys: one for each step ``[steps]``.
             shape: of the network's outputs ``[n, actions]``.
         """
-        network = numpy_batch(self.network)
+        network = numpy_batch(self.network, order_only=self.order_only)
         if network is None:
             return None
         leaves, structure = jax.tree.flatten(_noises(self, keys, shape))
@@ -103,18 +106,22 @@ class Lookup(eqx.Module):
 class Greedy(AbstractPolicy):
     """The action of the highest score: Q(s, ·) or A(s, ·)."""
 
+    order_only: ClassVar[bool] = True
+
     network: Callable[..., Float[Array, "actions"]]
 
     def noise(self, key: Key, shape: tuple[int, ...]) -> None:
         del key, shape
 
     def choose(self, noise: None, outputs: Any, xp: Any) -> Any:
-        del noise
-        return xp.argmax(outputs, axis=-1)
+        del noise, xp
+        return outputs.argmax(-1)  # the method: NumPy's function of the name takes five times as long to begin
 
 
 class EpsilonGreedy(AbstractPolicy):
     """A uniformly random action with probability ε (one for all, or one for each of the n), else the greedy one."""
+
+    order_only: ClassVar[bool] = True
 
     network: Callable[..., Float[Array, "actions"]]
     epsilon: Float[Array, "..."] | float
@@ -126,7 +133,7 @@ class EpsilonGreedy(AbstractPolicy):
 
     def choose(self, noise: Any, outputs: Any, xp: Any) -> Any:
         explore, anything = noise
-        return xp.where(explore, anything, xp.argmax(outputs, axis=-1))
+        return xp.where(explore, anything, outputs.argmax(-1))
 
 
 class Noisy(AbstractPolicy):

@@ -46,10 +46,14 @@ def advance(
         learner, state, total = _one(learners, index), _taken(states, index), _taken(totals, index)
         total = jax.tree.map(jnp.zeros_like, total) if fresh else total
         bad = 0
-        for step in range(steps):
-            state, total, finite = _update(learner, state, learner.gather(state), total)
+        gathered = learner.gather(state) if steps else None
+        for step in range(1, steps + 1):
+            ahead = learner.gather_ahead(state) if step < steps else None
+            state, total, finite = _update(learner, state, gathered, total)  # in the background, until it is asked for
+            if step < steps:
+                gathered = learner.gather(state) if ahead is None else ahead()
             if not bad and not finite:
-                bad = step + 1
+                bad = step
         after.append(state)
         sums.append(total)
         broken.append(bad)

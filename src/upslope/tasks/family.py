@@ -1,6 +1,7 @@
 """What a family of tasks p(T) is: a sampler of tasks that knows how to collect experience from them."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -58,6 +59,10 @@ class AbstractFamily(eqx.Module):
     @abstractmethod
     def rollout(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Transition:
         """`reset`, then `collect`, then the environments are given up: transitions ``[n, steps, ...]``."""
+
+    def rollout_later(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Callable[[], Transition]:
+        """The same `rollout` in two parts: what is drawn is drawn now, and the environments run when it is called."""
+        return lambda: self.rollout(key, tasks, policy, steps)
 
     @abstractmethod
     def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:

@@ -8,7 +8,7 @@ import gymnasium as gym
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt32
 
 from upslope.envs.task_slot import made
 from upslope.errors import UpslopeError
@@ -18,6 +18,10 @@ from upslope.tasks.host_environments import Episodes, HostEnvironments, Mode
 from upslope.tasks.observation_scale import scale_of
 from upslope.tasks.task_protocol import of_protocol
 from upslope.types import Key, Policy, Task, Transition
+
+
+#: Actions ``[n, ...]`` by a step's number and observations ``[n, *obs]``.
+Acting = Callable[[int, np.ndarray], np.ndarray]
 
 
 class RunningHost(eqx.Module):
@@ -130,7 +134,7 @@ class GymnasiumTasks(AbstractFamily):
     def reset(self, key: Key, tasks: Task) -> RunningHost:
         if evaluated_abstractly(key, tasks):
             return RunningHost(jnp.zeros((), jnp.int32))
-        return RunningHost(jnp.asarray(self.environments.start(self._tasks(tasks), _seed(key)), jnp.int32))
+        return RunningHost(jnp.asarray(self.environments.start(self._tasks(tasks), _seed(jax.random.key_data(key))), jnp.int32))
 
     def collect(
         self, key: Key, tasks: Task, running: RunningHost, policy: Policy, steps: int
@@ -141,20 +145,26 @@ class GymnasiumTasks(AbstractFamily):
         if not self.environments.knows(number, len(tasks)):  # from a checkpoint: episodes can't be restored
             running = self.reset(key, tasks)
             number = int(running.number)
-        transitions = self._play(self.environments.go_on(number), key, policy, steps)
+        act = self._acting(policy, key, len(tasks), steps)
+        transitions = self._play(self.environments.go_on(number), act, steps)
         return RunningHost(jnp.asarray(number, jnp.int32)), transitions
 
     def rollout(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Transition:
         if evaluated_abstractly(key, tasks):
             return self._shapes(len(tasks), steps)
-        reset_key, act_key = jax.random.split(key)
-        return self._play(self.environments.fresh(self._tasks(tasks), _seed(reset_key)), act_key, policy, steps)
+        return self.rollout_later(key, tasks, policy, steps)()
+
+    def rollout_later(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Callable[[], Transition]:
+        reset_words, act_key = _reset_and_act(key)
+        act = self._acting(policy, act_key, len(tasks), steps)
+        drawn, seed = self._tasks(tasks), _seed(reset_words)
+        return lambda: self._play(self.environments.fresh(drawn, seed), act, steps)
 
     def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
         if evaluated_abstractly(key, tasks):
             return jnp.zeros(len(tasks))
-        reset_key, act_key = jax.random.split(key)
-        episodes = self.environments.fresh(self._tasks(tasks), _seed(reset_key))
+        reset_words, act_key = _reset_and_act(key)
+        episodes = self.environments.fresh(self._tasks(tasks), _seed(reset_words))
         act = self._acting(policy, act_key, len(tasks), self.max_steps)
         alive, total = np.ones(len(tasks), bool), np.zeros(len(tasks), np.float32)
         for step in range(self.max_steps):
@@ -169,9 +179,8 @@ class GymnasiumTasks(AbstractFamily):
         """Closes all environments; they are made anew when needed."""
         self.environments.close()
 
-    def _play(self, episodes: Episodes, key: Key, policy: Policy, steps: int) -> Transition:
+    def _play(self, episodes: Episodes, act: Acting, steps: int) -> Transition:
         count = len(episodes.obs)
-        act = self._acting(policy, key, count, steps)
         played, terminated = self._shapes(count, steps, np), np.zeros((count, steps), bool)
         obs, action, reward, _, next_obs = played  # looked up once: a module's attributes cost more than a write
         for step in range(steps):
@@ -182,7 +191,7 @@ class GymnasiumTasks(AbstractFamily):
         played.discount[:] = self.gamma * ~terminated
         return jax.tree.map(jnp.asarray, played)
 
-    def _acting(self, policy: Policy, key: Key, count: int, steps: int) -> Callable[[int, np.ndarray], np.ndarray]:
+    def _acting(self, policy: Policy, key: Key, count: int, steps: int) -> Acting:
         """The policy's actions by step, drawn with the keys that a compiled family would use."""
         keys = _act_keys(key, steps)
         fast = getattr(policy, "on_host", None)
@@ -208,7 +217,8 @@ class GymnasiumTasks(AbstractFamily):
                 "A task of a host family is what family.sample(key) gives, not the simulator's own setting: for a task "
                 "of your own, make a family whose sample(rng) returns it."
             )
-        return [self.task_of(row) for row in words]
+        sample = self.sample_task  # looked up once: a module's attributes cost more than a draw
+        return [_drawn(sample, row) for row in words]
 
 
 def _drawn(sample: Callable[[np.random.Generator], Any], words: np.ndarray) -> Any:
@@ -220,9 +230,16 @@ def _drawn(sample: Callable[[np.random.Generator], Any], words: np.ndarray) -> A
         ) from error
 
 
-def _seed(key: Key) -> int:
-    high, low = (int(word) for word in np.asarray(jax.random.key_data(key)))
+def _seed(words: UInt32[Array, "2"]) -> int:
+    high, low = np.asarray(words).tolist()
     return high << 32 | low
+
+
+@jax.jit
+def _reset_and_act(key: Key) -> tuple[UInt32[Array, "2"], Key]:
+    """The words of the key of a reset, and the key that draws what policies draw."""
+    reset_key, act_key = jax.random.split(key)
+    return jax.random.key_data(reset_key), act_key
 
 
 def _act_keys_of(key: Key, steps: int) -> Any:

@@ -70,7 +70,7 @@ class HostEnvironments:
         self._running, self._scratch, self._obs = {}, {}, {}
         self._has_lost_a_worker = False
 
-    def call(self, function: Callable[[], Any]) -> Any:
+    def call(self, function: Callable[..., Any], *inputs: Any) -> Any:
         """Calls a vector environment, on the clock.
 
         Raises:
@@ -78,7 +78,7 @@ class HostEnvironments:
         """
         began = time.perf_counter()
         try:
-            return alive(function)
+            return alive(function, *inputs)
         except DeadWorkerError:
             self._has_lost_a_worker = True
             raise
@@ -122,12 +122,11 @@ class Episodes:
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """One step of each: rewards, terminated, truncated ``[n]``, and true successors ``[n, *obs]``."""
-        shown, rewards, terminated, truncated, infos = self._pool.call(lambda: self._env.step(actions))
+        shown, rewards, terminated, truncated, infos = self._pool.call(self._env.step, actions)
         successors = shown
-        done = terminated | truncated
-        if done.any():
+        if "final_obs" in infos:
             successors = shown.copy()
-            for i in np.flatnonzero(done):
+            for i in np.flatnonzero(infos["_final_obs"]):
                 successors[i] = infos["final_obs"][i]
         self.obs = shown
         if self._number is not None:
