@@ -4,6 +4,7 @@
 It takes the better part of an hour; started again, it goes on with the runs that are missing.
 """
 
+import copy
 import itertools
 import json
 import time
@@ -165,8 +166,8 @@ def learn(algorithm: str, seed: int, arm: str, options: Options, settings: dict[
 
 
 def for_sb3(settings: dict[str, Any], actions: tuple[int, ...]) -> dict[str, Any]:
-    """The settings, with objects for a step size that falls linearly to zero, and for the noise of continuous actions."""
-    given = dict(settings)
+    """The settings, with objects for a step size that falls linearly to zero and for the noise of actions."""
+    given = copy.deepcopy(settings)  # learners add to the dicts that they are given
     if given.pop("decays", False):
         size = given["learning_rate"]
         given["learning_rate"] = lambda left: left * size

@@ -137,7 +137,7 @@ def test_policies_in_numpy_act_as_in_jax(policy):
     obs = np.random.default_rng(0).normal(size=(6, 5, 4)).astype(np.float32)
     keys = jax.random.split(KEYS[3], 6)
     expected = [np.asarray(policy(key, jnp.asarray(one))) for key, one in zip(keys, obs, strict=True)]
-    act = policy.on_host(keys, np.shape(jax.vmap(policy.network)(jnp.asarray(obs[0]))))
+    act = policy.on_host(keys, np.shape(jax.vmap(policy.network)(jnp.asarray(obs[0]))))()
     np.testing.assert_allclose([act(step, one) for step, one in enumerate(obs)], expected, rtol=0, atol=1e-6)
 
 

@@ -12,31 +12,37 @@ from upslope.numpy_convolution import convolve
 _ACTIVATIONS: dict[str, Callable] = {"relu": lambda x, out=None: np.maximum(x, 0.0, out=out), "tanh": np.tanh}
 
 
-def numpy_batch(function: Any, *, order_only: bool = False) -> Callable[[np.ndarray], np.ndarray] | None:
-    """The numpy form of a network, or of a method of one, for batches ``[n, *obs]``; None if there is none.
+def has_numpy_form(function: Any) -> bool:
+    """Whether `numpy_batch` takes it: a `DuelingQ` (its Q), its ``advantage``, a `QNetwork` or an `Actor`."""
+    owner, method = _owner_and_method(function)
+    known = isinstance(owner, DuelingQ | QNetwork | Actor) and isinstance(owner.torso, MLP | ConvolutionalTorso)
+    return known and (method == "__call__" or (isinstance(owner, DuelingQ) and method == "advantage"))
+
+
+def numpy_batch(function: Any, *, order_only: bool = False) -> Callable[[np.ndarray], np.ndarray]:
+    """The numpy form of a network, or of a method of one, for batches ``[n, *obs]``.
 
     Args:
-        function: a `DuelingQ` (its Q), its ``advantage``, a `QNetwork` or an `Actor`, unbatched.
+        function: one that `has_numpy_form`, unbatched.
         order_only: only the order of the actions counts: of Q the raw A will do, which orders them alike.
     """
-    owner = getattr(function, "__self__", function)
-    method = getattr(getattr(function, "__func__", None), "__name__", "__call__")
-    if not isinstance(getattr(owner, "torso", None), MLP | ConvolutionalTorso):
-        return None
+    owner, method = _owner_and_method(function)
     torso = _torso(owner.torso)
-    if isinstance(owner, DuelingQ) and method in ("__call__", "advantage"):
+    if isinstance(owner, DuelingQ):
         advantage = _linear(owner.advantage_head)
         if method == "advantage" or order_only:
             return lambda obs: advantage(torso(obs))
         both = _linear(owner.value_head, owner.advantage_head)
         return lambda obs: _dueling(both(torso(obs)))
-    if isinstance(owner, QNetwork) and method == "__call__":
-        head = _linear(owner.head)
+    head = _linear(owner.head)
+    if isinstance(owner, QNetwork):
         return lambda obs: head(torso(obs))
-    if isinstance(owner, Actor) and method == "__call__":
-        head = _linear(owner.head)
-        return lambda obs: np.tanh(head(torso(obs)))
-    return None
+    return lambda obs: np.tanh(head(torso(obs)))
+
+
+def _owner_and_method(function: Any) -> tuple[Any, str]:
+    owner = getattr(function, "__self__", function)
+    return owner, getattr(getattr(function, "__func__", None), "__name__", "__call__")
 
 
 def _dueling(heads: np.ndarray) -> np.ndarray:

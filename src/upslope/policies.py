@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from upslope.numpy_networks import numpy_batch
-from upslope.types import Key, Keys
+from upslope.numpy_networks import has_numpy_form, numpy_batch
+from upslope.types import Acting, Key, Keys
 
 
 class AbstractPolicy(eqx.Module):
@@ -59,20 +59,24 @@ class AbstractPolicy(eqx.Module):
 
         return _noises_of_steps(self, keys, shape), act
 
-    def on_host(self, keys: Keys, shape: tuple[int, ...]) -> Callable[[int, np.ndarray], np.ndarray] | None:
-        """The policy in numpy, from a step's number and observations ``[n, *obs]``; None if it has no such form.
+    def on_host(self, keys: Keys, shape: tuple[int, ...]) -> Callable[[], Acting] | None:
+        """What makes the policy in numpy; None if it has no such form. JAX draws the noise from now on.
 
         Args:
             keys: one for each step ``[steps]``.
             shape: of the network's outputs ``[n, actions]``.
         """
-        network = numpy_batch(self.network, order_only=self.order_only)
-        if network is None:
+        if not has_numpy_form(self.network):
             return None
-        leaves, structure = jax.tree.flatten(_noises(self, keys, shape))
+        noises = _noises(self, keys, shape)
+        return lambda: self._acting(noises, len(keys))
+
+    def _acting(self, noises: Any, steps: int) -> Acting:
+        network = numpy_batch(self.network, order_only=self.order_only)
+        leaves, structure = jax.tree.flatten(noises)
         # Taken apart at once: a PyTree of one step's noise costs as much to make as the network to evaluate.
-        steps = list(zip(*(np.asarray(leaf) for leaf in leaves), strict=True)) if leaves else [()] * len(keys)
-        noise = [jax.tree.unflatten(structure, row) for row in steps]
+        rows = list(zip(*(np.asarray(leaf) for leaf in leaves), strict=True)) if leaves else [()] * steps
+        noise = [jax.tree.unflatten(structure, row) for row in rows]
         choose = type(self).choose  # looked up once: binding a method of a module costs more than the choice
 
         def act(step: int, obs: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from jaxtyping import Key as KeyArray
 
@@ -24,6 +25,9 @@ Potential: TypeAlias = Callable[[Observation], Scalar]
 
 #: A policy: a key and a batch of observations ``[n, *obs]`` to a batch of actions ``[n, ...]``.
 Policy: TypeAlias = Callable[[Key, Float[Array, "n *obs"]], Any]
+
+#: A policy on the host: the number of a step and observations ``[n, *obs]`` to actions ``[n, ...]``.
+Acting: TypeAlias = Callable[[int, np.ndarray], np.ndarray]
 
 #: What a learner reports of one step: named numbers, or one for each of its tasks.
 Metrics: TypeAlias = dict[str, Float[Array, "..."]]

@@ -9,12 +9,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Int
 
 from upslope.learner import AbstractTaskLearner
 from upslope.run.chunks import Chunk
 from upslope.run.compiling import QUICK_TO_RUN
 from upslope.tasks.abstract_evaluation import shapes_only
 from upslope.types import Keys, Metrics
+
+Count = Int[Array, ""]
 
 
 def devices(learners: int) -> int:
@@ -45,20 +48,19 @@ def advance(
     for index in range(jax.tree.leaves(totals)[0].shape[0]):
         learner, state, total = _one(learners, index), _taken(states, index), _taken(totals, index)
         total = jax.tree.map(jnp.zeros_like, total) if fresh else total
-        bad = 0
+        done = bad = jnp.zeros((), jnp.int32)
         gathered = learner.gather(state) if steps else None
-        for step in range(1, steps + 1):
-            ahead = learner.gather_ahead(state) if step < steps else None
-            state, total, finite = _update(learner, state, gathered, total)  # in the background, until it is asked for
-            if step < steps:
+        for left in reversed(range(steps)):
+            ahead = learner.gather_ahead(state) if left else None
+            # In the background: nothing here waits for its result but what is gathered with it.
+            state, total, done, bad = _update(learner, state, gathered, total, done, bad)
+            if left:
                 gathered = learner.gather(state) if ahead is None else ahead()
-            if not bad and not finite:
-                bad = step
         after.append(state)
         sums.append(total)
         broken.append(bad)
         told.append(learner.report(state) if report else None)
-    return Chunk(_stacked(after), _stacked(sums), jnp.asarray(broken), _stacked(told) if report else {})
+    return Chunk(_stacked(after), _stacked(sums), jnp.stack(broken), _stacked(told) if report else {})
 
 
 def shapes(learners: AbstractTaskLearner, keys: Keys) -> tuple[Any, Any, Any]:
@@ -77,10 +79,14 @@ def close(learners: AbstractTaskLearner) -> None:
 
 
 @functools.partial(jax.jit, donate_argnames=("state", "total"), compiler_options=QUICK_TO_RUN)
-def _update(learner: AbstractTaskLearner, state: Any, gathered: Any, total: Metrics) -> tuple[Any, Metrics, Any]:
+def _update(
+    learner: AbstractTaskLearner, state: Any, gathered: Any, total: Metrics, done: Count, bad: Count
+) -> tuple[Any, Metrics, Count, Count]:
+    """One update; counts the steps done, and tells the first with a metric that was not finite."""
     state, metrics = learner.update(state, gathered)
     finite = jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(metrics)]).all()
-    return state, jax.tree.map(jnp.add, total, metrics), finite
+    done = done + 1
+    return state, jax.tree.map(jnp.add, total, metrics), done, jnp.where((bad == 0) & ~finite, done, bad)
 
 
 def _one(learners: AbstractTaskLearner, index: int) -> AbstractTaskLearner:

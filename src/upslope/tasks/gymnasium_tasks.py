@@ -17,11 +17,7 @@ from upslope.tasks.family import AbstractFamily
 from upslope.tasks.host_environments import Episodes, HostEnvironments, Mode
 from upslope.tasks.observation_scale import scale_of
 from upslope.tasks.task_protocol import of_protocol
-from upslope.types import Key, Policy, Task, Transition
-
-
-#: Actions ``[n, ...]`` by a step's number and observations ``[n, *obs]``.
-Acting = Callable[[int, np.ndarray], np.ndarray]
+from upslope.types import Acting, Key, Policy, Task, Transition
 
 
 class RunningHost(eqx.Module):
@@ -134,7 +130,8 @@ class GymnasiumTasks(AbstractFamily):
     def reset(self, key: Key, tasks: Task) -> RunningHost:
         if evaluated_abstractly(key, tasks):
             return RunningHost(jnp.zeros((), jnp.int32))
-        return RunningHost(jnp.asarray(self.environments.start(self._tasks(tasks), _seed(jax.random.key_data(key))), jnp.int32))
+        number = self.environments.start(self._tasks(tasks), _seed(jax.random.key_data(key)))
+        return RunningHost(jnp.asarray(number, jnp.int32))
 
     def collect(
         self, key: Key, tasks: Task, running: RunningHost, policy: Policy, steps: int
@@ -145,7 +142,7 @@ class GymnasiumTasks(AbstractFamily):
         if not self.environments.knows(number, len(tasks)):  # from a checkpoint: episodes can't be restored
             running = self.reset(key, tasks)
             number = int(running.number)
-        act = self._acting(policy, key, len(tasks), steps)
+        act = self._acting(policy, key, len(tasks), steps)()
         transitions = self._play(self.environments.go_on(number), act, steps)
         return RunningHost(jnp.asarray(number, jnp.int32)), transitions
 
@@ -156,16 +153,20 @@ class GymnasiumTasks(AbstractFamily):
 
     def rollout_later(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Callable[[], Transition]:
         reset_words, act_key = _reset_and_act(key)
-        act = self._acting(policy, act_key, len(tasks), steps)
-        drawn, seed = self._tasks(tasks), _seed(reset_words)
-        return lambda: self._play(self.environments.fresh(drawn, seed), act, steps)
+        acting = self._acting(policy, act_key, len(tasks), steps)
+
+        def play() -> Transition:
+            episodes = self.environments.fresh(self._tasks(tasks), _seed(reset_words))
+            return self._play(episodes, acting(), steps)
+
+        return play
 
     def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
         if evaluated_abstractly(key, tasks):
             return jnp.zeros(len(tasks))
         reset_words, act_key = _reset_and_act(key)
         episodes = self.environments.fresh(self._tasks(tasks), _seed(reset_words))
-        act = self._acting(policy, act_key, len(tasks), self.max_steps)
+        act = self._acting(policy, act_key, len(tasks), self.max_steps)()
         alive, total = np.ones(len(tasks), bool), np.zeros(len(tasks), np.float32)
         for step in range(self.max_steps):
             rewards, terminated, truncated, _ = episodes.step(act(step, episodes.obs))
@@ -181,34 +182,32 @@ class GymnasiumTasks(AbstractFamily):
 
     def _play(self, episodes: Episodes, act: Acting, steps: int) -> Transition:
         count = len(episodes.obs)
-        played, terminated = self._shapes(count, steps, np), np.zeros((count, steps), bool)
+        # Steps come first here, so that each writes whole rows.
+        played, terminated = self._shapes(steps, count, np), np.zeros((steps, count), bool)
         obs, action, reward, _, next_obs = played  # looked up once: a module's attributes cost more than a write
         for step in range(steps):
-            obs[:, step] = shown = episodes.obs
-            action[:, step] = chosen = act(step, shown)
-            reward[:, step], terminated[:, step], _, next_obs[:, step] = episodes.step(chosen)
+            obs[step] = shown = episodes.obs
+            action[step] = chosen = act(step, shown)
+            reward[step], terminated[step], _, next_obs[step] = episodes.step(chosen)
         # Truncation keeps the discount at γ: only a true end cuts the future off.
         played.discount[:] = self.gamma * ~terminated
-        return jax.tree.map(jnp.asarray, played)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf.swapaxes(0, 1)), played)
 
-    def _acting(self, policy: Policy, key: Key, count: int, steps: int) -> Acting:
-        """The policy's actions by step, drawn with the keys that a compiled family would use."""
+    def _acting(self, policy: Policy, key: Key, count: int, steps: int) -> Callable[[], Acting]:
+        """The policy's actions by step, drawn, from now on, with the keys that a compiled family would use."""
         keys = _act_keys(key, steps)
-        fast = getattr(policy, "on_host", None)
-        act = None if fast is None else fast(keys, (count, self.actions))
-        return act or (lambda step, obs: np.asarray(_act(policy, keys, jnp.asarray(step), jnp.asarray(obs))))
+        on_host = getattr(policy, "on_host", lambda *_: None)(keys, (count, self.actions))
+        if on_host is not None:
+            return on_host
+        return lambda: lambda step, obs: np.asarray(_act(policy, keys, jnp.asarray(step), jnp.asarray(obs)))
 
-    def _shapes(self, count: int, steps: int, xp: Any = jnp) -> Transition:
-        """Transitions of zeros."""
-        obs = xp.zeros((count, steps, *self.observation_shape), np.float32)
-        action = (
-            xp.zeros((count, steps, self.actions), np.float32)
-            if self.continuous
-            else xp.zeros((count, steps), np.int32)
-        )
-        return Transition(
-            obs, action, xp.zeros((count, steps), np.float32), xp.zeros((count, steps), np.float32), xp.zeros_like(obs)
-        )
+    def _shapes(self, rows: int, columns: int, xp: Any = jnp) -> Transition:
+        """Transitions of zeros ``[rows, columns, ...]``."""
+        numbers = xp.zeros((rows, columns), np.float32)
+        obs = xp.zeros((rows, columns, *self.observation_shape), np.float32)
+        actions = (rows, columns, self.actions), np.float32
+        action = xp.zeros(*actions) if self.continuous else numbers.astype(np.int32)
+        return Transition(obs, action, numbers, xp.zeros_like(numbers), xp.zeros_like(obs))
 
     def _tasks(self, tasks: Task) -> list[Any]:
         words = np.asarray(tasks)
