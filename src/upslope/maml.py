@@ -5,12 +5,16 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import optax
 
 from upslope.errors import UpslopeError
 from upslope.types import Scalar
 
 Params = TypeVar("Params")
 Data = TypeVar("Data")
+
+#: A squared gradient below this is no direction to go in.
+_FLAT = 1e-12
 
 
 def descend(params: Params, gradient: Params, step_size: float | Scalar) -> Params:
@@ -27,6 +31,7 @@ def adapt(
     steps: int = 1,
     first_order: bool = False,
     rematerialise: bool = False,
+    normalised: bool = False,
 ) -> Params:
     """Eq. 2, N times: φ ← φ − α·∇L(φ), from φ = θ.
 
@@ -39,23 +44,30 @@ def adapt(
         first_order: treat the inner gradients as constants, so that no second derivative is taken through φ(θ).
         rematerialise: keep of each step only the φ it began with, and compute the rest again when differentiating:
             the same numbers in less memory and more time.
+        normalised: Polyak's step, 2α·L / ‖∇L‖²·∇L: of a single squared error, however steep, it removes the share α,
+            to first order.
 
     Raises:
         UpslopeError: N < 1.
     """
     if steps < 1:
         raise UpslopeError(f"inner_steps is {steps}, but adapting takes at least one step: give N >= 1.")
-    gradient_of = jax.grad(loss)
+    gradient_of = jax.value_and_grad(loss)
 
     def step(params: Params, _: None) -> tuple[Params, None]:
-        gradient = gradient_of(params, data)
+        error, gradient = gradient_of(params, data)
         if first_order:
-            gradient = jax.lax.stop_gradient(gradient)
-        return descend(params, gradient, step_size), None
+            error, gradient = jax.lax.stop_gradient((error, gradient))
+        return descend(params, gradient, step_size * _polyak(error, gradient) if normalised else step_size), None
 
     # A few steps are written out, many are a loop: the program stays small.
     step = jax.checkpoint(step) if rematerialise else step
     return jax.lax.scan(step, params, None, length=steps, unroll=steps if steps <= 4 else 1)[0]
+
+
+def _polyak(error: Scalar, gradient: Params) -> Scalar:
+    """The step at which a squared error that is linear in the parameters would vanish."""
+    return 2 * error / jnp.maximum(optax.tree.norm(gradient, squared=True), _FLAT)
 
 
 def meta_loss(

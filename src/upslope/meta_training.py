@@ -13,6 +13,15 @@ from jaxtyping import Array, Float
 
 from upslope.convolution import fastest_form
 from upslope.errors import UpslopeError
+from upslope.finite_posterior import (
+    TableSamples,
+    collect_steps,
+    posterior_heads,
+    posterior_table,
+    posterior_weights,
+    q_tables,
+    table_distance,
+)
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import prior_learning_loss, td_loss
 from upslope.maml import adapt, gradient_task_by_task
@@ -21,7 +30,6 @@ from upslope.policies import EpsilonGreedy, Greedy
 from upslope.recipes import MetaTrainingConfig
 from upslope.replay import Replay
 from upslope.sharing import mean_of_all, most_devices, own_tasks
-from upslope.tabular_posterior import TableSamples, collect_steps, posterior_table, q_tables, table_distance
 from upslope.tasks.family import AbstractFamily
 from upslope.tasks.jax_tasks import JaxTasks, is_finite
 from upslope.types import Key, Metrics, Scalar, Transition
@@ -75,8 +83,8 @@ class MetaTraining(AbstractTaskLearner):
     def init(self, key: Key) -> MetaTrainingState:
         key, trial_key, network_key = jax.random.split(key, 3)
         family, config = self.family, self.config
-        if config.posterior == "table" and not is_finite(family):
-            raise UpslopeError(f"{family.name} tasks are not finite, so no table fits them: adapt the whole network.")
+        if config.posterior != "network" and not is_finite(family):
+            raise UpslopeError(f'{family.name} tasks are not finite, as that needs: set posterior="network".')
         theta = DuelingQ(
             network_key,
             family.observation_shape,
@@ -85,8 +93,7 @@ class MetaTraining(AbstractTaskLearner):
             family.observation_scale,
             config.activation,
         )
-        # A table has no weights to be adapted: its gradients are of first order.
-        form = fastest_form(second_order=config.posterior == "network")
+        form = fastest_form(second_order=config.outer_target == "kept" and not config.first_order)
         theta = with_convolutions(theta, config.precision, form)
         acting = theta if self.family.on_host else None
         return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta), acting)
@@ -136,7 +143,7 @@ class MetaTraining(AbstractTaskLearner):
 
     def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition | TableSamples:
         """Fresh replays D_i ``[tasks, steps, ...]``, ε-greedy by Q_θ, with its own ε for each task or environment."""
-        if self.config.posterior == "table":
+        if self.config.posterior != "network":
             assert isinstance(self.family, JaxTasks), "init refuses all others"
             epsilon = jnp.linspace(*self.config.epsilon, self.config.environments)
             return collect_steps(key, self.family, tasks, theta, epsilon, self.config.steps_per_task)
@@ -171,7 +178,7 @@ class MetaTraining(AbstractTaskLearner):
         """Eq. 7 for one task, with φ_i adapted from θ by Eq. 2 on the TD error of Eq. 5."""
         config = self.config
         if isinstance(samples, TableSamples):
-            return self.table_outer_loss(jax.vmap(theta)(samples.observations), samples)
+            return self.outer_loss_in_all_states(theta, samples)
         phi = adapt(
             self.task_td_loss,
             theta,
@@ -180,23 +187,29 @@ class MetaTraining(AbstractTaskLearner):
             steps=config.inner_steps,
             first_order=config.first_order,
             rematerialise=config.rematerialise,
+            normalised=config.normalised_steps,
         )
         return self.distance_to_posterior(theta, phi, samples)
 
-    def table_outer_loss(self, q_prior: Float[Array, "states actions"], samples: TableSamples) -> Scalar:
-        """The same with a table for φ_i, given Q_θ in every state of the task."""
-        config = self.config
-        base = jax.lax.stop_gradient(q_prior) if samples.base is None else samples.base
-        q_posterior = posterior_table(
-            base, samples.steps, step_size=config.inner_step_size, inner_steps=config.inner_steps
-        )
-        return table_distance(
-            q_prior,
-            q_posterior,
-            samples.steps,
-            reward_weight=config.reward_weight,
-            advantage_weight=config.advantage_weight,
-        )
+    def outer_loss_in_all_states(self, theta: DuelingQ, samples: TableSamples) -> Scalar:
+        """The same for a finite task, φ_i adapted to all of D_i."""
+        config, steps = self.config, samples.steps
+        q_prior = jax.vmap(theta)(samples.observations)
+        if config.posterior == "table":
+            base = jax.lax.stop_gradient(q_prior) if samples.base is None else samples.base
+            q = posterior_table(base, steps, step_size=config.inner_step_size, inner_steps=config.inner_steps)
+        else:
+            adapted = posterior_heads if config.posterior == "heads" else posterior_weights
+            q = adapted(
+                jax.lax.stop_gradient(theta),
+                samples.observations,
+                steps,
+                step_size=config.inner_step_size,
+                steps=config.inner_steps,
+                normalised=config.normalised_steps,
+            )
+        weights = {"reward_weight": config.reward_weight, "advantage_weight": config.advantage_weight}
+        return table_distance(q_prior, q, steps, **weights)
 
     def task_td_loss(self, network: DuelingQ, samples: TaskSamples) -> Scalar:
         """Mean of Eq. 5 over one task's batch."""

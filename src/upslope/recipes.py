@@ -19,10 +19,13 @@ class MetaTrainingConfig:
         batch_size: samples per task behind each φ_i; the outer loss uses the same ones.
         hidden: widths of the hidden layers.
         activation: of the hidden layers; the paper names none.
-        posterior: what of θ each task adapts: the whole "network", or, for finite tasks, a "table": Q_θ in every state
-            of the task (`upslope.tabular_posterior`). A table is adapted to all of the replay, each pair of state and
-            action counting once; batch_size, first_order, td_gradient and a kept outer_target have no part in it.
+        posterior: what of θ each task adapts: the whole "network", to a batch of its replay; or, where tasks are
+            finite, to all of the replay, each pair of state and action counting once (`upslope.finite_posterior`): a
+            "table" of Q_θ in every state, the two "heads", or all "weights". Of these three batch_size, first_order,
+            td_gradient and a kept outer_target are no part, nor is target_decay of the last two.
         inner_step_size: α. Of a table, the share of each TD error that one step removes.
+        normalised_steps: inner steps are Polyak's (`upslope.maml.adapt`), α of a single squared error; not of a table,
+            whose steps are so by themselves.
         inner_steps: N.
         outer_step_size: β at the start.
         outer_step_size_end: β at the end; it falls linearly.
@@ -39,11 +42,10 @@ class MetaTrainingConfig:
         td_gradient: "semi" (TD targets are constants) or "full" (Eq. 5 differentiated on both sides).
         target_decay: decay per iteration of the averaged network in the inner TD target; None for no such network.
         epsilon: random-action share of the first and of the last task of a batch; those between are spaced evenly.
-            With a table: of the first and last environment of each task.
-        environments: of each task, side by side; only with a table.
-        reward_weight: how often rewarded pairs of state and action count in the outer loss; only with a table.
-        advantage_weight: weight, in the outer loss, of how the errors differ between the actions of a state; only with
-            a table.
+            Where all of the replay is used: of the first and last environment of each task.
+        environments: of each task, side by side; only where all of the replay is used.
+        reward_weight: how often rewarded pairs of state and action count in the outer loss; likewise.
+        advantage_weight: weight, in the outer loss, of how the errors differ between the actions of a state; likewise.
         averaging: decay per iteration of the moving average of θ that is the prior; 0 takes θ itself, as printed.
         select_from: the prior is the best snapshot after this share of training, by its greedy return on extra
             training tasks; 1 takes the last, as printed.
@@ -59,9 +61,10 @@ class MetaTrainingConfig:
     batch_size: int = 64
     hidden: tuple[int, ...] = (32, 32)
     activation: Activation = "tanh"
-    posterior: Literal["network", "table"] = "network"
+    posterior: Literal["network", "table", "heads", "weights"] = "network"
     inner_step_size: float = 0.01
     inner_steps: int = 1
+    normalised_steps: bool = False
     outer_step_size: float = 0.005
     outer_step_size_end: float = 0.0005
     outer_warmup: int = 0
@@ -88,8 +91,12 @@ class MetaTrainingConfig:
         for name in _COUNTS:
             if getattr(self, name) < 1:
                 raise UpslopeError(f"{name} is {getattr(self, name)}, but it counts something: give at least 1.")
-        if self.posterior == "table" and self.outer_target == "kept":
-            raise UpslopeError('A posterior table is a constant in Eq. 7: set outer_target="stopped".')
+        if self.posterior != "network" and self.outer_target == "kept":
+            raise UpslopeError(f'A posterior of {self.posterior} is a constant in Eq. 7: set outer_target="stopped".')
+        if self.posterior in ("heads", "weights") and self.target_decay is not None:
+            raise UpslopeError(f"A posterior of {self.posterior} has no target network: set target_decay=None.")
+        if self.posterior == "table" and self.normalised_steps:
+            raise UpslopeError("Steps of a table are normalised by themselves: leave normalised_steps out.")
         shares = {
             "averaging": self.averaging,
             "select_from": self.select_from,

@@ -1,7 +1,7 @@
-"""Algorithm 1's task-posterior as a table, for finite tasks: Q_θ in every state, corrected on task i's experience.
+"""Algorithm 1's task-posterior for finite tasks, adapted to all of D_i: a table, the two heads, or all weights of θ.
 
-One pass through the network gives Q_θ in all states of a task at once, and adapting the table to the task costs next
-to nothing. So N can be large, and φ_i comes near to solving what D_i tells of its task, where one small step of the
+One pass through the network gives Q_θ in all states of a task at once, and adapting a table of it costs next to
+nothing. So N can be large, and φ_i comes near to solving what D_i tells of its task, where one small step of the
 whole network hardly moves: its kernel damps the directions that tell actions apart most of all.
 
 With N = 1 and α = 1 the table is one Bellman backup, and Eq. 7 is the loss of multi-task DQN.
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from upslope.losses import td_loss
+from upslope.losses import dueling_q, td_loss
 from upslope.maml import adapt
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy
@@ -107,9 +107,46 @@ def table_td_loss(table: QTable, steps: Steps) -> Scalar:
     return jnp.sum(steps.share * losses) / 2
 
 
+def mean_td_loss(table: QTable, steps: Steps) -> Scalar:
+    """The mean of Eq. 5 over the pairs that were tried."""
+    return 2 * table_td_loss(table, steps) / jnp.sum(steps.share)
+
+
 def posterior_table(base: QTable, steps: Steps, *, step_size: float, inner_steps: int) -> QTable:
     """Q_φ of a task: Eq. 2, N times, from a network's Q; nothing changes where nothing was tried."""
     return adapt(table_td_loss, base, steps, step_size=step_size, steps=inner_steps)
+
+
+def posterior_heads(
+    theta: DuelingQ, observations: Float[Array, "states *obs"], experience: Steps, **inner: Any
+) -> QTable:
+    """Q_φ of a task, φ being θ with heads of its own, adapted by Eq. 2 to the mean of Eq. 5 over the pairs.
+
+    Args:
+        theta: θ.
+        observations: of every state.
+        experience: D_i.
+        inner: how it is adapted: see `upslope.maml.adapt`.
+    """
+    features = jax.vmap(theta.torso)(observations)
+
+    def q(heads: tuple[eqx.nn.Linear, eqx.nn.Linear]) -> QTable:
+        value, advantage = (jax.vmap(head)(features) for head in heads)
+        return jax.vmap(dueling_q)(value[:, 0], advantage)
+
+    heads = theta.value_head, theta.advantage_head
+    return q(adapt(lambda heads, experience: mean_td_loss(q(heads), experience), heads, experience, **inner))
+
+
+def posterior_weights(
+    theta: DuelingQ, observations: Float[Array, "states *obs"], experience: Steps, **inner: Any
+) -> QTable:
+    """The same, all weights of θ being adapted."""
+
+    def q(network: DuelingQ) -> QTable:
+        return jax.vmap(network)(observations)
+
+    return q(adapt(lambda network, experience: mean_td_loss(q(network), experience), theta, experience, **inner))
 
 
 def table_distance(

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,11 +11,19 @@ import pytest
 from support.comparing import assert_trees_close, largest
 from support.probes import discrete_family
 from upslope.errors import UpslopeError
+from upslope.finite_posterior import (
+    Steps,
+    TableSamples,
+    posterior_heads,
+    posterior_table,
+    posterior_weights,
+    q_tables,
+    table_distance,
+)
 from upslope.losses import td_loss
 from upslope.meta_training import MetaTraining
 from upslope.planning import solve_all, tabulate
 from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
-from upslope.tabular_posterior import Steps, TableSamples, posterior_table, q_tables, table_distance
 from upslope.tasks import grid_games
 
 MAPS, CELLS, ACTIONS = 2, 12, 4
@@ -44,6 +53,20 @@ def tasks(family):
 @pytest.fixture(scope="module")
 def samples(meta, state, tasks) -> TableSamples:
     return jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta))(tasks)
+
+
+@pytest.fixture(scope="module")
+def theta(state):
+    """Not as it begins: with biases of zero, ReLUs stand at their kinks where a map is empty."""
+    leaves, structure = jax.tree.flatten(state.theta)
+    keys = jax.random.split(jax.random.key(7), len(leaves))
+    noisy = [leaf + 0.05 * jax.random.normal(key, leaf.shape) for leaf, key in zip(leaves, keys, strict=True)]
+    return jax.tree.unflatten(structure, noisy)
+
+
+@pytest.fixture(scope="module")
+def observations(samples):
+    return samples.observations[0]
 
 
 def steps_of(*rows) -> Steps:
@@ -112,6 +135,63 @@ class TestInnerSteps:
             found = posterior_table(start, steps, step_size=1.0, inner_steps=150)
             where = np.asarray(mdp.acting)
             np.testing.assert_allclose(found[where], solution.action_value[index][where], atol=1e-4)
+
+
+class TestWeightsThatAdapt:
+    """The two heads, and all weights, on everything that was seen."""
+
+    STEPS = steps_of((0, 0, 0.5, 0.9, 1, 1.0), (5, 2, 1.0, 0.0, 0, 0.5), (5, 2, 0.0, 0.9, 3, 0.5))
+
+    @pytest.mark.parametrize("posterior", [posterior_heads, posterior_weights])
+    def test_a_step_goes_down_the_mean_of_equation_5(self, theta, observations, posterior):
+        def loss(network):
+            q = jax.vmap(network)(observations)
+            targets = jax.lax.stop_gradient([0.5 + 0.9 * q[1].max(), 1.0, 0.9 * q[3].max()])
+            first, *second = (
+                (target - value) ** 2 for target, value in zip(targets, q[(0, 5, 5), (0, 2, 2)], strict=True)
+            )
+            return (first + sum(second) / 2) / 2  # two pairs, the second of them seen twice
+
+        slope = jax.jit(jax.grad(loss))(theta)
+        if posterior is posterior_heads:
+            slope = eqx.tree_at(lambda net: net.torso, slope, jax.tree.map(jnp.zeros_like, slope.torso))
+        expected = jax.vmap(jax.tree.map(lambda p, g: p - 0.1 * g, theta, slope))(observations)
+        found = jax.jit(lambda: posterior(theta, observations, self.STEPS, step_size=0.1, steps=1))()
+        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+        assert largest(found - jax.vmap(theta)(observations)) > 1e-3
+
+    def test_a_normalised_step_removes_its_share_of_one_error(self, theta, observations):
+        """Heads are linear: of a single pair's TD error, which V alone can mend, a whole step leaves nothing."""
+        best = int(jax.vmap(theta)(observations)[2].argmax())
+        one = steps_of((2, best, 1.0, 0.0, 0, 1.0))
+        before = float(jax.vmap(theta)(observations)[2, best])
+        for share in (1.0, 0.4):
+            found = posterior_heads(theta, observations, one, step_size=share, steps=1, normalised=True)
+            assert float(found[2, best]) == pytest.approx(before + share * (1 - before), abs=2e-4)
+
+    @pytest.mark.parametrize(("name", "posterior"), [("heads", posterior_heads), ("weights", posterior_weights)])
+    def test_algorithm_1_goes_to_where_they_are(self, family, theta, samples, name, posterior):
+        inner = {"inner_step_size": 0.3, "inner_steps": 2, "normalised_steps": True}
+        meta = MetaTraining(family, dataclasses.replace(for_grid_games(4), hidden=(8, 8), posterior=name, **inner))
+        aims = [
+            posterior(theta, *jax.tree.map(lambda leaf, i=task: leaf[i], (samples.observations, samples.steps)),
+                      step_size=0.3, steps=2, normalised=True)
+            for task in range(MAPS)
+        ]  # fmt: skip
+
+        def distance(network):
+            def of_task(task):
+                seen, steps = jax.tree.map(lambda leaf: leaf[task], (samples.observations, samples.steps))
+                q = jax.vmap(network)(seen)
+                return table_distance(q, aims[task], steps, reward_weight=5.0, advantage_weight=30.0)
+
+            return sum(of_task(task) for task in range(MAPS)) / MAPS
+
+        expected, slope = jax.jit(jax.value_and_grad(distance))(theta)
+        loss, gradient = jax.jit(lambda network: meta.outer_gradient(network, samples))(theta)
+        assert float(loss) == pytest.approx(float(expected), rel=1e-3)
+        assert largest(slope) > 1e-3
+        assert_trees_close(gradient, slope, rtol=5e-3, atol=1e-4)
 
 
 class TestOuterLoss:
@@ -185,6 +265,14 @@ class TestRefusals:
     def test_a_kept_target(self):
         with pytest.raises(UpslopeError, match="outer_target"):
             MetaTrainingConfig(posterior="table", outer_target="kept")
+
+    def test_a_target_network_for_adapted_weights(self):
+        with pytest.raises(UpslopeError, match="target_decay=None"):
+            MetaTrainingConfig(posterior="heads")
+
+    def test_normalised_steps_of_a_table(self):
+        with pytest.raises(UpslopeError, match="normalised_steps"):
+            MetaTrainingConfig(posterior="table", normalised_steps=True)
 
 
 def test_the_control_differs_only_in_what_makes_it_dqn():
