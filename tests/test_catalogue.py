@@ -11,7 +11,7 @@ from rich.console import Console
 from upslope.errors import UpslopeError
 from upslope.experiments.catalogue import EXPERIMENTS, reproduce
 from upslope.experiments.experiment import Experiment, Options
-from upslope.experiments.maps.priors import stage
+from upslope.experiments.maps.readings import stage
 from upslope.experiments.results import write_json
 
 OF_MAPS = {"fig2", "fig3", "fig4", "fig5", "grid-readings", "grid-precisions"}

@@ -9,20 +9,11 @@ import pytest
 from rich.console import Console
 
 from upslope.experiments import catalogue
-from upslope.experiments.maps.priors import (
-    GridPriorsConfig,
-    Reading,
-    families,
-    grid_precisions,
-    grid_readings,
-    quick_grid_priors,
-    td_residual,
-)
+from upslope.experiments.maps.priors import families, td_residual
+from upslope.experiments.maps.readings import GridPriorsConfig, Reading
 from upslope.measures import truths
-from upslope.meta_training import MetaTraining
 from upslope.prior import Prior
 from upslope.recipes import for_grid_games
-from upslope.tasks import obstacle_maps
 
 #: Every test here needs two small trainings, half a minute on a slow core.
 pytestmark = pytest.mark.slow
@@ -98,27 +89,3 @@ def test_single_maps_are_told_beside_their_detours(row, folder):
     detours = json.loads((folder / "results.json").read_text(encoding="utf-8"))["detours"]
     assert len(detours) == 3
     assert min(detours) >= 0
-
-
-def what_changes(readings):
-    recipe = dataclasses.asdict(readings["algorithm1"].config)
-    return {
-        name: {key for key, value in dataclasses.asdict(config).items() if value != recipe[key]}
-        for name, (_, config) in readings.items()
-    }
-
-
-def test_readings_change_what_they_say():
-    changed = what_changes(grid_readings().readings)
-    assert changed["one_step"] == {"inner_steps"}
-    assert changed["unweighted"] == {"advantage_weight"}
-    assert changed["multi_task_dqn"] == {"inner_steps", "target_decay", "advantage_weight"}
-    assert all(reading.config.iterations == 40 for reading in quick_grid_priors(grid_readings()).readings.values())
-
-
-def test_precisions_change_nothing_else():
-    readings = grid_precisions().readings
-    changed = what_changes(readings)
-    assert changed == {"algorithm1": set(), "tensorfloat32": {"precision"}, "bfloat16": {"precision"}}
-    network = jax.eval_shape(MetaTraining(obstacle_maps(), readings["bfloat16"].config).init, jax.random.key(0)).theta
-    assert network.torso.precision == "bfloat16"

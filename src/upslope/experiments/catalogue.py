@@ -11,7 +11,7 @@ from upslope.errors import UpslopeError
 from upslope.experiments.experiment import PANELS, Experiment, Options, PanelName
 from upslope.experiments.figures import FIGURE_1, figure_on
 from upslope.experiments.maps.prior_studies import priors_study
-from upslope.experiments.maps.priors import grid_precisions, grid_priors, grid_readings
+from upslope.experiments.maps.readings import grid_precisions, grid_priors, grid_readings
 from upslope.experiments.poles.shipped_prior import SHIPPED_PRIOR
 from upslope.experiments.studies import STUDIES
 from upslope.experiments.theorems.study import THEOREMS

@@ -14,7 +14,7 @@ from upslope.experiments.maps.figures import (
     stages,
     with_iterations,
 )
-from upslope.experiments.maps.priors import Maps
+from upslope.experiments.maps.readings import Maps
 from upslope.experiments.plots import draw
 from upslope.experiments.poles.figure1 import Figure1Config, figure1, quick
 from upslope.experiments.report import print_summary, write_report

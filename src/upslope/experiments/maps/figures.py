@@ -14,7 +14,8 @@ from upslope.errors import UpslopeError
 from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps
-from upslope.experiments.maps.priors import Maps, families, quick_reading, stage
+from upslope.experiments.maps.priors import families
+from upslope.experiments.maps.readings import Maps, quick_reading, stage
 from upslope.experiments.priors import Priors, describe_priors, meta_train_priors
 from upslope.experiments.results import SUCCESS, FigureResult, Panel
 from upslope.experiments.shaping_panel import shaping_panel

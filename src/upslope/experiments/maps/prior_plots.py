@@ -15,37 +15,44 @@ TITLES = {
     "td_residual": "TD residual",
 }
 
+#: So many readings leave room for a legend within a panel, and for single maps.
+_FEW = 3
+
 
 def draw_grid_priors(results: dict[str, Any], aims: dict[str, float], folder: Path) -> None:
-    """Writes figure.png and figure.pdf: every measure, mean over unseen maps and seeds, against iterations.
+    """Writes figure.png and figure.pdf: every measure, mean over unseen maps and seeds, over the training.
 
-    All readings' iterations cost nearly the same, and seconds are those of whatever else a machine did. Bands go from
-    the lowest to the highest seed. The last panel shows the single maps, where they ask for detours.
+    Trainings of as many iterations are drawn against those, others, made to take equal time, against their shares:
+    seconds are those of whatever else a machine did. Bands go from the lowest to the highest seed. The last panel of a
+    figure of few readings shows the single maps, where they ask for detours.
     """
+    rows = list(results["readings"].values())
+    lengths = {row["iterations"][-1] for row in rows}
+    detours = any(results["detours"]) and len(rows) <= _FEW
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
-        columns = len(TITLES) + any(results["detours"])
+        columns = len(TITLES) + detours
         figure, axes = plt.subplots(1, columns, figsize=(3.4 * columns, 3.2), layout="constrained")
-        if any(results["detours"]):
+        if detours:
             _draw_detours(results, axes[-1])
         for axis, (measure, title) in zip(axes[: len(TITLES)], TITLES.items(), strict=True):
-            for row in results["readings"].values():
+            for number, row in enumerate(rows):
                 seeds = np.asarray(row["measures"][measure]["mean"])
-                (line,) = axis.plot(row["iterations"], seeds.mean(axis=0), label=row["what"], linewidth=1.5)
+                along = np.asarray(row["iterations"]) / (1 if len(lengths) == 1 else row["iterations"][-1])
+                style = {"color": f"C{number % 10}", "linestyle": "-" if number < 10 else "--"}
+                axis.plot(along, seeds.mean(axis=0), label=row["what"], linewidth=1.5, **style)
                 axis.fill_between(
-                    row["iterations"],
-                    seeds.min(axis=0),
-                    seeds.max(axis=0),
-                    color=line.get_color(),
-                    alpha=0.2,
-                    linewidth=0,
+                    along, seeds.min(axis=0), seeds.max(axis=0), color=style["color"], alpha=0.15, linewidth=0
                 )
             if measure in aims:
                 axis.axhline(aims[measure], color="#878787", linewidth=0.8, linestyle="--")
                 axis.set_ylim(min(0.0, axis.get_ylim()[0]), 1.02)
             else:
                 axis.set_yscale("log")
-            axis.set(title=title, xlabel="iterations")
-        axes[0].legend(frameon=False, fontsize=7, loc="lower right")
+            axis.set(title=title, xlabel="iterations" if len(lengths) == 1 else "share of the training, of equal time")
+        if len(rows) <= _FEW:
+            axes[0].legend(frameon=False, fontsize=7, loc="lower right")
+        else:
+            figure.legend(*axes[0].get_legend_handles_labels(), frameon=False, ncols=6, loc="outside lower center")
         figure.savefig(folder / "figure.png", dpi=150)
         figure.savefig(folder / "figure.pdf")
         plt.close(figure)

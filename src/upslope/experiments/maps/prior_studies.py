@@ -10,7 +10,8 @@ from rich.table import Table
 from upslope.experiments.experiment import Experiment, Plan
 from upslope.experiments.maps.pictures import draw_map_figures
 from upslope.experiments.maps.prior_plots import TITLES, draw_grid_priors
-from upslope.experiments.maps.priors import AIMS, GridPriorsConfig, quick_grid_priors, run_grid_priors
+from upslope.experiments.maps.priors import run_grid_priors
+from upslope.experiments.maps.readings import AIMS, GridPriorsConfig, quick_grid_priors
 from upslope.experiments.results import write_json
 from upslope.prior import Prior
 from upslope.run.session import Session

@@ -1,7 +1,7 @@
-"""Priors of grid games over their training: how near V comes to V*, and what Algorithm 1's readings are worth."""
+"""Learns priors of grid games, and measures over their training how near V comes to V*."""
 
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, NamedTuple
+from dataclasses import asdict
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,13 +10,14 @@ from jaxtyping import Array, Float
 
 from upslope.api import best_prior
 from upslope.experiments.keys import Purpose, key_for, keys_for
+from upslope.experiments.maps.readings import GridPriorsConfig, Maps, stage
 from upslope.experiments.results import circumstances
 from upslope.measures import Truth, dead_units, feature_norm, measure_all, summarise, tables, truths
 from upslope.meta_training import MetaTraining, best_snapshot
 from upslope.networks import DuelingQ
 from upslope.planning import lookahead
 from upslope.prior import Prior
-from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
@@ -24,97 +25,6 @@ from upslope.run.session import Session
 from upslope.tasks import JaxTasks, clean_maps, obstacle_maps
 from upslope.tasks.grid_potentials import manhattan_potential
 from upslope.types import Task
-
-Maps = Literal["obstacles", "clean"]
-
-#: What the curves show, with the project's aims for Algorithm 1 on unseen obstacle maps and clean maps.
-AIMS: dict[str, dict[Maps, float]] = {
-    "rank_correlation": {"obstacles": 0.95, "clean": 0.97},
-    "action_optimality": {"obstacles": 0.88, "clean": 0.9},
-    "success": {"obstacles": 0.7, "clean": 0.9},
-}
-
-
-class Reading(NamedTuple):
-    """One way to learn a prior."""
-
-    what: str
-    config: MetaTrainingConfig
-
-
-@dataclass(frozen=True)
-class GridPriorsConfig:
-    """Which priors are learned, and where they are tried.
-
-    Attributes:
-        maps: "obstacles": 8 × 8, 4,000 training maps; or "clean": 10 × 10, 800, no test goal ever a training goal.
-        readings: by name.
-        seeds: priors of each.
-        first_seed: seeds are first_seed, first_seed + 1, …; the test maps are drawn by it too.
-        tasks: unseen maps.
-    """
-
-    maps: Maps
-    readings: dict[str, Reading]
-    seeds: int = 5
-    first_seed: int = 0
-    tasks: int = 100
-
-
-def grid_priors(maps: Maps, iterations: int = 6000) -> GridPriorsConfig:
-    """The recipe, and plain multi-task DQN for as many iterations, which take a little longer."""
-    return GridPriorsConfig(
-        maps,
-        {
-            "algorithm1": Reading("Algorithm 1, φ a table, N = 30", for_grid_games(iterations)),
-            "multi_task_dqn": Reading("multi-task DQN", multi_task_dqn(iterations)),
-        },
-    )
-
-
-def grid_readings(iterations: int = 1500) -> GridPriorsConfig:
-    """The recipe with one thing changed at a time, and plain multi-task DQN; equal iterations cost the same."""
-    recipe = for_grid_games(iterations)
-    return GridPriorsConfig(
-        "obstacles",
-        {
-            "algorithm1": Reading("Algorithm 1, φ a table, N = 30", recipe),
-            "one_step": Reading("N = 1: DQN with the recipe's weights", replace(recipe, inner_steps=1)),
-            "unweighted": Reading("N = 30, Eq. 7 alone", replace(recipe, advantage_weight=0.0)),
-            "multi_task_dqn": Reading("multi-task DQN", multi_task_dqn(iterations)),
-        },
-        seeds=1,
-    )
-
-
-def grid_precisions(iterations: int = 1500) -> GridPriorsConfig:
-    """The recipe with fewer bits in its convolutions: what that does to learning is the same on every machine."""
-    recipe = for_grid_games(iterations)
-    return GridPriorsConfig(
-        "obstacles",
-        {
-            "algorithm1": Reading("float32", recipe),
-            "tensorfloat32": Reading("TF32 in the convolutions", replace(recipe, precision="tensorfloat32")),
-            "bfloat16": Reading("bfloat16 in the convolutions", replace(recipe, precision="bfloat16")),
-        },
-        seeds=1,
-    )
-
-
-def quick_grid_priors(config: GridPriorsConfig) -> GridPriorsConfig:
-    """A minute or two: shows that all works, says nothing."""
-    readings = {name: Reading(what, quick_reading(reading)) for name, (what, reading) in config.readings.items()}
-    return replace(config, readings=readings, seeds=1, tasks=10)
-
-
-def quick_reading(config: MetaTrainingConfig) -> MetaTrainingConfig:
-    """A minute of it at most."""
-    return replace(config, iterations=40, snapshot_every=20, evaluation_tasks=5)
-
-
-def stage(maps: Maps, reading: str) -> str:
-    """What the training of a reading is called, in whichever figure it has a part."""
-    return f"{maps}: {reading}"
 
 
 def families(maps: Maps) -> tuple[JaxTasks, JaxTasks]:

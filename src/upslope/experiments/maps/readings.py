@@ -1,0 +1,121 @@
+"""Which priors of grid games are learned: those of Figures 2 and 4, Algorithm 1 read in other ways, and fewer bits."""
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
+
+Maps = Literal["obstacles", "clean"]
+
+#: What the curves show, with the project's aims for Algorithm 1 on unseen obstacle maps and clean maps.
+AIMS: dict[str, dict[Maps, float]] = {
+    "rank_correlation": {"obstacles": 0.95, "clean": 0.97},
+    "action_optimality": {"obstacles": 0.88, "clean": 0.9},
+    "success": {"obstacles": 0.7, "clean": 0.9},
+}
+
+
+class Reading(NamedTuple):
+    """One way to learn a prior."""
+
+    what: str
+    config: MetaTrainingConfig
+
+
+@dataclass(frozen=True)
+class GridPriorsConfig:
+    """Which priors are learned, and where they are tried.
+
+    Attributes:
+        maps: "obstacles": 8 × 8, 4,000 training maps; or "clean": 10 × 10, 800, no test goal ever a training goal.
+        readings: by name.
+        seeds: priors of each.
+        first_seed: seeds are first_seed, first_seed + 1, …; the test maps are drawn by it too.
+        tasks: unseen maps.
+    """
+
+    maps: Maps
+    readings: dict[str, Reading]
+    seeds: int = 5
+    first_seed: int = 0
+    tasks: int = 100
+
+
+def grid_priors(maps: Maps, iterations: int = 6000) -> GridPriorsConfig:
+    """The recipe, and plain multi-task DQN for as many iterations, which take a little longer."""
+    return GridPriorsConfig(
+        maps,
+        {
+            "algorithm1": Reading("Algorithm 1, φ a table, N = 30", for_grid_games(iterations)),
+            "multi_task_dqn": Reading("multi-task DQN", multi_task_dqn(iterations)),
+        },
+    )
+
+
+def grid_readings(iterations: int = 1500) -> GridPriorsConfig:
+    """Algorithm 1 read in other ways, and plain multi-task DQN: each for as long as the recipe's iterations take."""
+    recipe = for_grid_games(iterations)
+    # Twice the passes through the network and more: iterations of equal time (medians on two quiet cores).
+    one_pass_more, three_more = (
+        for_grid_games(max(1, iterations * 6 // 11)),
+        for_grid_games(max(1, iterations * 3 // 10)),
+    )
+    normalised: dict[str, Any] = {"inner_step_size": 0.5, "normalised_steps": True}
+    return GridPriorsConfig(
+        "obstacles",
+        {
+            "algorithm1": Reading("φ a table, N = 30", recipe),
+            "three_steps": Reading("φ a table, N = 3", replace(recipe, inner_steps=3)),
+            "one_step": Reading("φ a table, N = 1", replace(recipe, inner_steps=1)),
+            "one_each": Reading("a φ for each pair, N = 1", replace(recipe, inner_steps=1, inner_step_size=0.5)),
+            "unweighted": Reading("φ a table, N = 30, Eq. 7 alone", replace(recipe, advantage_weight=0.0)),
+            "heads": Reading("φ the heads, N = 30, normalised", replace(recipe, posterior="heads", **normalised)),
+            "heads_fixed": Reading(
+                "φ the heads, N = 30, α = 0.1", replace(recipe, posterior="heads", inner_step_size=0.1)
+            ),
+            "weights": Reading(
+                "φ all weights, N = 1, normalised",
+                replace(one_pass_more, posterior="weights", inner_steps=1, **normalised),
+            ),
+            "weights_fixed": Reading(
+                "φ all weights, N = 1, α = 0.01",
+                replace(one_pass_more, posterior="weights", inner_steps=1, inner_step_size=0.01),
+            ),
+            "weights_three": Reading(
+                "φ all weights, N = 3, normalised",
+                replace(three_more, posterior="weights", inner_steps=3, **normalised),
+            ),
+            "multi_task_dqn": Reading("multi-task DQN", multi_task_dqn(max(1, iterations * 8 // 9))),
+        },
+        seeds=3,
+    )
+
+
+def grid_precisions(iterations: int = 1500) -> GridPriorsConfig:
+    """The recipe with fewer bits in its convolutions: what that does to learning is the same on every machine."""
+    recipe = for_grid_games(iterations)
+    return GridPriorsConfig(
+        "obstacles",
+        {
+            "algorithm1": Reading("float32", recipe),
+            "tensorfloat32": Reading("TF32 in the convolutions", replace(recipe, precision="tensorfloat32")),
+            "bfloat16": Reading("bfloat16 in the convolutions", replace(recipe, precision="bfloat16")),
+        },
+        seeds=1,
+    )
+
+
+def quick_grid_priors(config: GridPriorsConfig) -> GridPriorsConfig:
+    """A minute or two: shows that all works, says nothing."""
+    readings = {name: Reading(what, quick_reading(reading)) for name, (what, reading) in config.readings.items()}
+    return replace(config, readings=readings, seeds=1, tasks=10)
+
+
+def quick_reading(config: MetaTrainingConfig) -> MetaTrainingConfig:
+    """A minute of it at most."""
+    return replace(config, iterations=40, snapshot_every=20, evaluation_tasks=5)
+
+
+def stage(maps: Maps, reading: str) -> str:
+    """What the training of a reading is called, in whichever figure it has a part."""
+    return f"{maps}: {reading}"
