@@ -27,7 +27,7 @@ SECTIONS = (
     ("devices", "Two cores against one", "", "3 minutes"),
     ("profile", "Where the time goes", "", "4 minutes"),
     ("maps", "Grid games", "", "2 minutes"),
-    ("host_meta_training", "Meta-training on Gymnasium environments", "", "2 minutes"),
+    ("host_meta_training", "Meta-training on Gymnasium environments", "", "3 minutes"),
     ("checkpoints", "Checkpoints", "", "5 minutes"),
 )
 
