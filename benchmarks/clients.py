@@ -64,8 +64,8 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
 SETTINGS: dict[str, dict[str, Any]] = {
     "DQN": VARIANTS["DQN"]["soft target, step size decayed"],
     "PPO": {"n_steps": 256, "policy_kwargs": {"net_arch": [32, 32]}},
-    "SAC": VARIANTS["SAC"]["defaults"],
-    "TD3": VARIANTS["TD3"]["noise 0.1"],
+    "SAC": VARIANTS["SAC"]["step size 1e-3, target rate 0.01"],
+    "TD3": VARIANTS["TD3"]["noise 0.3, target rate 0.01"],
 }
 
 
@@ -73,7 +73,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 class Options:
     """What to run."""
 
-    algorithms: tuple[str, ...] = ("DQN", "SAC", "PPO")
+    algorithms: tuple[str, ...] = ("DQN", "SAC", "TD3", "PPO")
     seeds: int = 10
     """Each with a pole of its own, its length drawn from U[0.25, 5] by the seed."""
     first_seed: int = 600
