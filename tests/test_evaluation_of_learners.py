@@ -7,7 +7,7 @@ import pytest
 
 from support.plain_grids import pick
 from upslope.agents.evaluation import exact_report, greedy_report
-from upslope.envs.map_text import read_map
+from upslope.envs.grid import read_map
 from upslope.measures import episode_values
 from upslope.planning import tabulate, value_iteration
 from upslope.policies import Greedy

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from support.plain_grids import as_board, draw, pick, plain_outcomes
-from upslope.envs.grid import GOAL, OBSTACLES, POSITION, START, TRAPS, GridGame, GridState
-from upslope.envs.map_text import read_map
+from upslope.envs.grid import GridGame, GridState, read_map
+from upslope.envs.grid_rules import GOAL, OBSTACLES, POSITION, START, TRAPS
 from upslope.tasks import grid_games
 
 SMALL = read_map("""

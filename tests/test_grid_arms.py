@@ -8,7 +8,7 @@ import pytest
 from support.comparing import assert_trees_close
 from support.plain_grids import as_board, distances, draw, pick
 from upslope.agents.dqn import DQN, DQNConfig
-from upslope.envs.map_text import read_map
+from upslope.envs.grid import read_map
 from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps, value_tables
 from upslope.experiments.maps.priors import mean_detours
 from upslope.measures import truths

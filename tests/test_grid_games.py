@@ -7,7 +7,7 @@ import pytest
 from support.plain_grids import draw
 from upslope import train
 from upslope.agents.dqn import DQNConfig
-from upslope.envs.grid import POSITION
+from upslope.envs.grid_rules import POSITION
 from upslope.errors import UpslopeError
 from upslope.family_options import Tasks, draw_task, recipe_for
 from upslope.recipes import MetaTrainingConfig, for_grid_games

@@ -8,8 +8,8 @@ import pytest
 from matplotlib.colors import to_rgba
 from matplotlib.quiver import Quiver
 
-from upslope.envs.grid import DOWN, RIGHT, GridGame
-from upslope.envs.map_text import read_map
+from upslope.envs.grid import GridGame, read_map
+from upslope.envs.grid_rules import DOWN, RIGHT
 from upslope.experiments.maps.plots import (
     GOAL_COLOUR,
     START_COLOUR,

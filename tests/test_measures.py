@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import spearmanr
 
 from support.plain_grids import draw, pick
-from upslope.envs.grid import DOWN, RIGHT, GridGame
-from upslope.envs.map_text import read_map
+from upslope.envs.grid import GridGame, read_map
+from upslope.envs.grid_rules import DOWN, RIGHT
 from upslope.measures import (
     Measures,
     action_optimality,

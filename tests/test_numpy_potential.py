@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from upslope import NumpyPotential, Prior
+from upslope import NumpyPotential, Prior, load_prior
 from upslope.networks import DuelingQ
 from upslope.prior import trained_on
 from upslope.tasks import cartpoles
@@ -32,6 +32,18 @@ def test_equal_to_jax_in_double_precision(activation, hidden):
 
 def test_equal_to_the_single_precision_that_learners_see(prior):
     np.testing.assert_allclose(prior.to_numpy().values(OBS), prior.values(jnp.asarray(OBS)), rtol=0, atol=1e-6)
+
+
+def test_the_prior_that_ships_is_equal_to_jax_in_double_precision():
+    """Its Φ goes up to 30, where single precision itself is no finer than 4e-6."""
+    shipped = load_prior("cartpole")
+    states = np.random.default_rng(1).uniform(-1, 1, (200, 4)) * [2.4, 2.0, 0.26, 2.0]
+    with jax.enable_x64(True):
+        exact = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), jnp.float64), shipped.network)
+        expected = np.asarray(jax.vmap(exact.value)(jnp.asarray(states)))
+    assert np.ptp(expected) > 10
+    np.testing.assert_allclose(shipped.to_numpy().values(states), expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(shipped.values(jnp.asarray(states, jnp.float32)), expected, rtol=1e-6)
 
 
 def test_saved_and_loaded_without_jax(prior, tmp_path):

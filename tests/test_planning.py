@@ -7,8 +7,8 @@ import pytest
 
 from support.mdps import greedy_sets, random_mdp, solve
 from support.plain_grids import as_board, distances, draw, pick
-from upslope.envs.grid import DOWN, LEFT, RIGHT, UP, GridGame
-from upslope.envs.map_text import read_map
+from upslope.envs.grid import GridGame, read_map
+from upslope.envs.grid_rules import DOWN, LEFT, RIGHT, UP
 from upslope.planning import (
     TabularMDP,
     best_actions,

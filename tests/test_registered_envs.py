@@ -1,5 +1,7 @@
 """The registered CartPoles: Gymnasium's own checks, pictures, and the very transitions of the compiled ones."""
 
+import subprocess
+import sys
 import warnings
 
 import gymnasium as gym
@@ -13,6 +15,7 @@ import upslope
 from support.poles import gymnasium_trajectory, gymnasium_twin
 from upslope.envs.cartpole import CartPole, CartPoleState
 from upslope.envs.registration import register_environments
+from upslope.errors import UpslopeError
 from upslope.tasks import cartpoles
 
 NAMES = ["upslope/CartPole-v0", "upslope/ContinuousCartPole-v0"]
@@ -97,7 +100,9 @@ def test_pictures_show_the_pole_move():
     assert gym.make("upslope/CartPole-v0").unwrapped.render() is None
 
 
-@pytest.mark.parametrize("settings", [{"length": 0.0}, {"length": float("nan")}, {"track_limit": -1.0}])
+@pytest.mark.parametrize(
+    "settings", [{"length": 0.0}, {"length": float("nan")}, {"track_limit": -1.0}, {"length": "long"}]
+)
 def test_impossible_poles(settings):
     with pytest.raises(upslope.UpslopeError, match="must be positive"):
         gym.make("upslope/CartPole-v0", **settings)
@@ -107,3 +112,45 @@ def test_registering_twice_does_nothing():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         register_environments()
+
+
+@pytest.mark.parametrize(("name", "action"), [(NAMES[0], 7), (NAMES[0], -1), (NAMES[1], np.array([np.nan]))])
+def test_actions_that_are_none(name, action):
+    env = gym.make(name, disable_env_checker=True).unwrapped
+    env.reset(seed=0)
+    with pytest.raises(UpslopeError, match="is no action here"):
+        env.step(action)
+
+
+@pytest.mark.parametrize("state", [[1, 2], [0, 0, np.nan, 0], 3.0])
+def test_states_that_are_none(state):
+    with pytest.raises(UpslopeError, match="four numbers"):
+        gym.make(NAMES[0]).reset(options={"state": state})
+
+
+#: In a process of its own, so that a worker that hangs fails the test, and JAX was not imported by others.
+PLAY = """
+import sys
+import gymnasium as gym
+import upslope
+if __name__ == "__main__":
+    envs = gym.make_vec(sys.argv[1], num_envs=2, vectorization_mode="async")
+    envs.reset(seed=0)
+    for _ in range(300):
+        envs.step(envs.action_space.sample())
+    envs.close()
+    env = upslope.PotentialShaping(gym.make("upslope/CartPole-v0"), str(upslope.prior_path("cartpole")), gamma=0.98)
+    env.reset(seed=0)
+    assert env.step(1)[1] != 1.0
+    assert not {"jax", "equinox", "torch"} & set(sys.modules), "JAX was imported"
+    print("played")
+"""
+
+
+@pytest.mark.parametrize("name", [*NAMES, "upslope/Grid-v0"])
+def test_simulator_processes_need_no_jax(name, tmp_path):
+    """And forked workers, which could inherit the locks of its threads, play on."""
+    (tmp_path / "play.py").write_text(PLAY, encoding="utf-8")
+    command = [sys.executable, str(tmp_path / "play.py"), name]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout.strip() == "played", done.stderr

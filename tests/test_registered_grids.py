@@ -9,8 +9,8 @@ from gymnasium.utils.env_checker import check_env
 
 import upslope
 from support.plain_grids import draw, pick
-from upslope.envs.grid import GridGame, GridState
-from upslope.envs.map_text import read_map, write_map
+from upslope.envs.grid import GridGame, GridState, read_map
+from upslope.envs.map_text import write_map
 
 TRAPPED = """
     S.#.

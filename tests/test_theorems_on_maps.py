@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from support.plain_grids import draw
-from upslope.envs.grid import DOWN, LEFT, POSITION, RIGHT, UP, GridGame
-from upslope.envs.map_text import read_map
+from upslope.envs.grid import GridGame, read_map
+from upslope.envs.grid_rules import DOWN, LEFT, POSITION, RIGHT, UP
 from upslope.errors import UpslopeError
 from upslope.experiments.theorems.alternation import Tables, alternate, on_a_network, stable_ratio, tabular
 from upslope.experiments.theorems.credit_assignment import credit_assignment

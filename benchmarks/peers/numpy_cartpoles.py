@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from upslope.envs.cartpole import CartPole, CartPoleParams, euler_equations
+from upslope.envs.cartpole import CartPole, CartPoleParams
+from upslope.envs.cartpole_physics import euler_equations
 from upslope.networks import DuelingQ
 
 MAX_STEPS = 200

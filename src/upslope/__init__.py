@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from upslope.api import adapt, meta_train, train
     from upslope.errors import UpslopeError
     from upslope.numpy_potential import NumpyPotential
-    from upslope.pretrained import load_prior
+    from upslope.pretrained import load_prior, prior_path
     from upslope.prior import Prior
     from upslope.recipes import MetaTrainingConfig
     from upslope.run.checkpoints import Checkpoints
@@ -36,6 +36,7 @@ _HOMES = {
     "check_shaping": "upslope.wrappers",
     "load_prior": "upslope.pretrained",
     "meta_train": "upslope.api",
+    "prior_path": "upslope.pretrained",
     "train": "upslope.api",
 }
 
@@ -57,6 +58,7 @@ __all__ = [
     "load_prior",
     "meta_train",
     "obstacle_maps",
+    "prior_path",
     "train",
 ]
 

@@ -11,12 +11,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from upslope.envs.cartpole_physics import FIFTEEN_DEGREES, Lengthened, euler_equations
 from upslope.types import Key, Scalar
 
-FIFTEEN_DEGREES = 15 * jnp.pi / 180
 
-
-class CartPoleParams(eqx.Module):
+class CartPoleParams(Lengthened, eqx.Module):
     """One CartPole: what is chosen. What follows from it is derived, so that nothing can go stale.
 
     Attributes:
@@ -40,19 +39,6 @@ class CartPoleParams(eqx.Module):
     angle_limit: Float[Array, ""] | float = FIFTEEN_DEGREES
     track_limit: Float[Array, ""] | float = 2.4
     max_steps_in_episode: int = eqx.field(static=True, default=200)
-
-    @property
-    def half_length(self) -> Float[Array, ""] | float:
-        """From the pivot to the centre of mass; what Gymnasium calls ``length``."""
-        return self.length / 2
-
-    @property
-    def pole_mass(self) -> Float[Array, ""] | float:
-        return self.pole_density * self.length
-
-    @property
-    def total_mass(self) -> Float[Array, ""] | float:
-        return self.cart_mass + self.pole_mass
 
 
 class CartPoleState(eqx.Module):
@@ -117,19 +103,3 @@ def euler_step(physics: Float[Array, "4"], force: Scalar, params: CartPoleParams
     """Gymnasium's explicit Euler step of the cart and the pole, with every mass derived from the length."""
     angle = physics[2]
     return jnp.stack(euler_equations(tuple(physics), force, jnp.cos(angle), jnp.sin(angle), params))
-
-
-def euler_equations(physics: tuple, force: Any, cosine: Any, sine: Any, params: Any) -> list:
-    """The equations of `euler_step` on four numbers: arithmetic only, so that plain floats do as well as arrays."""
-    position, velocity, angle, angular_velocity = physics
-    pole_moment = params.pole_mass * params.half_length
-    pushed = (force + pole_moment * angular_velocity**2 * sine) / params.total_mass
-    inertia = params.half_length * (4.0 / 3.0 - params.pole_mass * cosine**2 / params.total_mass)
-    angular_acceleration = (params.gravity * sine - cosine * pushed) / inertia
-    acceleration = pushed - pole_moment * angular_acceleration * cosine / params.total_mass
-    return [
-        position + params.time_step * velocity,
-        velocity + params.time_step * acceleration,
-        angle + params.time_step * angular_velocity,
-        angular_velocity + params.time_step * angular_acceleration,
-    ]

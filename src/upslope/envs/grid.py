@@ -3,30 +3,20 @@
 The map is the task. Cells are numbered row by row: cell = row · width + column.
 """
 
-import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from upslope.errors import UpslopeError
+from upslope.envs import grid_rules as rules
+from upslope.envs.grid_rules import Outcomes
+from upslope.envs.map_text import read_board
 from upslope.types import Key, Scalar
 
 Cell = Int[Array, ""]
-
-UP, DOWN, LEFT, RIGHT = range(4)
-
-#: Channels of an observation; the last is there only where the game has traps.
-START, GOAL, POSITION, OBSTACLES, TRAPS = range(5)
-
-_ROW_STEPS = (-1, 1, 0, 0)
-_COLUMN_STEPS = (0, 0, -1, 1)
-
-#: Where a move can go: as meant, or, if it slips, to either side of it.
-_SIDEWAYS = ((UP, LEFT, RIGHT), (DOWN, LEFT, RIGHT), (LEFT, UP, DOWN), (RIGHT, UP, DOWN))
 
 
 class GridParams(eqx.Module):
@@ -56,26 +46,6 @@ class GridState(eqx.Module):
 
     cell: Cell
     time: Int[Array, ""]
-
-
-class Outcomes(NamedTuple):
-    """Everything that can follow upon every action in every cell: the dynamics as tables.
-
-    In goals, traps and obstacles nothing can be done: they lead to themselves, without reward, terminated.
-
-    Attributes:
-        successors: s' ``[cells, actions, outcomes]``; one outcome, or three where moves slip.
-        probabilities: of each outcome.
-        rewards: R(s, a, s').
-        terminated: whether s' ends the episode.
-        acting: cells in which one acts ``[cells]``.
-    """
-
-    successors: Int[Array, "cells actions outcomes"]
-    probabilities: Float[Array, "cells actions outcomes"]
-    rewards: Float[Array, "cells actions outcomes"]
-    terminated: Bool[Array, "cells actions outcomes"]
-    acting: Bool[Array, "cells"]
 
 
 @dataclass(frozen=True)
@@ -131,10 +101,10 @@ class GridGame:
         """
         direction = jnp.asarray(action, jnp.int32)
         if self.slippery:
-            ways = jnp.asarray(_SIDEWAYS)[direction]
-            direction = jax.random.choice(key, ways, p=_chances(params.slip))
+            ways = jnp.asarray(rules.SIDEWAYS)[direction]
+            direction = jax.random.choice(key, ways, p=rules.chances(jnp, params.slip))
         cell = self.move(params, state.cell, direction)
-        reward, terminated = arrival(params, cell)
+        reward, terminated = rules.arrival(jnp, params, cell)
         time = state.time + 1
         truncated = (time >= params.max_steps_in_episode) & ~terminated
         done = terminated | truncated
@@ -144,19 +114,11 @@ class GridGame:
 
     def move(self, params: GridParams, cell: Cell, direction: Int[Array, ""]) -> Cell:
         """Where one stands after a move that did not slip."""
-        row = cell // self.width + jnp.asarray(_ROW_STEPS)[direction]
-        column = cell % self.width + jnp.asarray(_COLUMN_STEPS)[direction]
-        inside = (row >= 0) & (row < self.height) & (column >= 0) & (column < self.width)
-        there = jnp.where(inside, row * self.width + column, cell)
-        return jnp.where(params.obstacles.ravel()[there], cell, there)
+        return rules.destination(jnp, params.obstacles, cell, direction)
 
     def observe(self, params: GridParams, cell: Cell) -> Float[Array, "*obs"]:
         """What is seen from a cell."""
-        layers = [jax.nn.one_hot(where, self.cells) for where in (params.start, params.goal, cell)]
-        layers.append(params.obstacles.ravel().astype(layers[0].dtype))
-        if self.traps:
-            layers.append(params.traps.ravel().astype(layers[0].dtype))
-        return jnp.stack(layers, axis=-1).reshape(self.observation_shape)
+        return rules.observation(jnp, params, cell, traps=self.traps).reshape(self.observation_shape)
 
     def observe_all(self, params: GridParams) -> Float[Array, "cells *obs"]:
         """What is seen from every cell, obstacles and the goal included."""
@@ -164,45 +126,25 @@ class GridGame:
 
     def state_number(self, obs: Float[Array, "*obs"]) -> Cell:
         """The cell that an observation was made from."""
-        return jnp.argmax(obs.reshape(self.cells, self.channels)[:, POSITION]).astype(jnp.int32)
+        return jnp.argmax(obs.reshape(self.cells, self.channels)[:, rules.POSITION]).astype(jnp.int32)
 
     def outcomes(self, params: GridParams) -> Outcomes:
         """The dynamics of one map as tables."""
-        cells = jnp.arange(self.cells)
-        ways = jnp.asarray(_SIDEWAYS)[:, : 3 if self.slippery else 1]
-        move = jax.vmap(jax.vmap(self.move, (None, None, 0)), (None, None, 0))
-        successors = jax.vmap(move, (None, 0, None))(params, cells, ways)
-        chances = _chances(params.slip) if self.slippery else jnp.ones(1)
-        rewards, terminated = arrival(params, successors)
-        idle = (cells == params.goal) | (params.obstacles | params.traps).ravel()
-        stuck = idle[:, None, None]
-        return Outcomes(
-            jnp.where(stuck, cells[:, None, None], successors),
-            jnp.broadcast_to(chances, successors.shape),
-            jnp.where(stuck, 0.0, rewards),
-            stuck | terminated,
-            ~idle,
-        )
+        return rules.outcomes(jnp, params, slippery=self.slippery)
 
 
-def check_settings(slip: float, trap_penalty: float) -> None:
-    """What maps of every origin must keep to.
+def read_map(text: str, *, trap_penalty: float = 1.0, slip: float = 0.0, max_steps: int = 50) -> GridParams:
+    """The map that a text shows.
+
+    Args:
+        text: one line for each row; spaces around lines do not count.
+        trap_penalty: what entering a trap costs.
+        slip: probability that a move goes to one of its two sides instead.
+        max_steps: truncation.
 
     Raises:
-        UpslopeError: a probability or a penalty that is none.
+        UpslopeError: what `read_board` raises.
     """
-    if not 0 <= slip < 1:
-        raise UpslopeError(f"slip is {slip}, but it is a probability below 1: give one such as 0.2.")
-    if not (math.isfinite(trap_penalty) and trap_penalty >= 0):
-        raise UpslopeError(f"trap_penalty is {trap_penalty}, but traps cost something: give 0 or a positive number.")
-
-
-def arrival(params: GridParams, cell: Int[Array, "*cells"]) -> tuple[Float[Array, "*cells"], Bool[Array, "*cells"]]:
-    """The reward for entering cells of one map, and whether that ends the episode."""
-    at_goal, trapped = cell == params.goal, params.traps.ravel()[cell]
-    return jnp.where(at_goal, 1.0, jnp.where(trapped, -params.trap_penalty, 0.0)), at_goal | trapped
-
-
-def _chances(slip: Scalar) -> Float[Array, "3"]:
-    """Of going as meant, and to either side."""
-    return jnp.stack([1 - slip, slip / 2, slip / 2])
+    board = read_board(text, trap_penalty=trap_penalty, slip=slip)
+    parts = {name: jnp.asarray(part) for name, part in board._asdict().items()}
+    return GridParams(**parts, max_steps_in_episode=max_steps)

@@ -1,13 +1,14 @@
-"""CartPole with a pole of any length as a Gymnasium environment, with the physics of `upslope.envs.cartpole`."""
+"""CartPole with a pole of any length as a Gymnasium environment, with the compiled one's physics. Needs no JAX."""
 
 import math
+from numbers import Real
 from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from upslope.envs.cartpole import CartPoleParams, euler_equations
+from upslope.envs.cartpole_physics import Pole, euler_equations
 from upslope.errors import UpslopeError
 
 _FAST = 1000.0
@@ -56,13 +57,11 @@ class GymnasiumCartPole(gym.Env):
             ("angle_limit_degrees", angle_limit_degrees),
             ("track_limit", track_limit),
         ):
-            if not (value > 0 and math.isfinite(value)):
-                raise UpslopeError(f"{name} is {value}, but it must be positive: give a number of metres or degrees.")
-        params = CartPoleParams(
-            float(length), angle_limit=math.radians(angle_limit_degrees), track_limit=float(track_limit)
-        )
+            if not (isinstance(value, Real) and value > 0 and math.isfinite(value)):
+                raise UpslopeError(f"{name} is {value!r}, but it must be positive: give a number of metres or degrees.")
+        pole = Pole(float(length), angle_limit=math.radians(angle_limit_degrees), track_limit=float(track_limit))
         # Derived once, as plain numbers: looking them up in the module costs as much as the physics.
-        self.params = SimpleNamespace(**{name: float(getattr(params, name)) for name in _NUMBERS})
+        self.params = SimpleNamespace(**{name: float(getattr(pole, name)) for name in _NUMBERS})
         self.continuous = continuous
         self.render_mode = render_mode
         # Twice the limits, as in Gymnasium, for the observation that ends an episode lies beyond them; no pole of more
@@ -75,14 +74,24 @@ class GymnasiumCartPole(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Every coordinate is drawn from U[−0.05, 0.05], unless the options give a state."""
+        """Every coordinate is drawn from U[−0.05, 0.05], unless the options give a state.
+
+        Raises:
+            UpslopeError: a state that is not four finite numbers.
+        """
         super().reset(seed=seed)
-        drawn = self.np_random.uniform(-0.05, 0.05, size=4)
-        self._physics = np.asarray((options or {}).get("state", drawn), np.float64).tolist()
+        state = (options or {}).get("state", self.np_random.uniform(-0.05, 0.05, size=4))
+        if np.shape(state) != (4,) or not np.isfinite(state).all():
+            raise UpslopeError(f"The state {state!r} is not four numbers: position, velocity, angle, angular velocity.")
+        self._physics = np.asarray(state, np.float64).tolist()
         return self._obs(), {}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One Euler step of 0.02 s."""
+        """One Euler step of 0.02 s.
+
+        Raises:
+            UpslopeError: an action that is none.
+        """
         angle = self._physics[2]
         self._physics = euler_equations(
             tuple(self._physics), self._force(action), math.cos(angle), math.sin(angle), self.params
@@ -113,8 +122,14 @@ class GymnasiumCartPole(gym.Env):
     def _force(self, action: Any) -> float:
         full = self.params.force
         if self.continuous:
-            return full * min(max(float(np.reshape(action, ())), -1.0), 1.0)
-        return full if action == 1 else -full
+            share = float(np.reshape(action, ()))
+            if not math.isnan(share):
+                return full * min(max(share, -1.0), 1.0)
+        elif action == 1:
+            return full
+        elif action == 0:
+            return -full
+        raise UpslopeError(f"{action!r} is no action here: give one of {self.action_space}.")
 
     def _obs(self) -> np.ndarray:
         return np.array(self._physics, np.float32)

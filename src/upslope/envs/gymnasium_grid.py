@@ -1,16 +1,13 @@
-"""Grid games as a Gymnasium environment: the compiled game's own tables, walked through on the host."""
+"""Grid games as a Gymnasium environment: tables of the compiled games' rules, walked through. Needs no JAX."""
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
-import equinox as eqx
 import gymnasium as gym
-import jax
 import numpy as np
 
-from upslope.envs.grid import GridGame, GridParams, Outcomes
-from upslope.envs.map_text import FREE, GOAL, OBSTACLE, START, TRAP, read_map, write_map
+from upslope.envs.grid_rules import observation, outcomes
+from upslope.envs.map_text import FREE, GOAL, OBSTACLE, START, TRAP, read_board, write_map
 from upslope.errors import UpslopeError
 
 #: An ordinary one of the paper's size, for those who give none.
@@ -66,16 +63,15 @@ class GymnasiumGrid(gym.Env):
         Raises:
             UpslopeError: a text that is no map, a penalty or a probability that is none.
         """
-        params = read_map(map if isinstance(map, str) else "\n".join(map), trap_penalty=trap_penalty, slip=slip)
-        height, width = params.obstacles.shape
-        game = GridGame(height, width, traps=bool(params.traps.any()), slippery=slip > 0, flat=flat)
-        tables, seen = jax.tree.map(np.asarray, _tables(game)(params))
-        self.params, self.render_mode = params, render_mode
-        self.observation_space = gym.spaces.Box(0.0, 1.0, game.observation_shape, np.float32)
-        self.action_space = gym.spaces.Discrete(game.actions)
-        self._outcomes: Outcomes = tables
-        self._seen = seen
-        self._cell = int(params.start)
+        board = read_board(map if isinstance(map, str) else "\n".join(map), trap_penalty=trap_penalty, slip=slip)
+        cells, traps = range(board.obstacles.size), bool(board.traps.any())
+        seen = np.stack([observation(np, board, cell, traps=traps) for cell in cells])
+        self._seen = seen.reshape(len(seen), -1) if flat else seen.reshape(-1, *board.obstacles.shape, seen.shape[-1])
+        self._outcomes = outcomes(np, board, slippery=slip > 0)
+        self._cell = int(board.start)
+        self.params, self.render_mode = board, render_mode
+        self.observation_space = gym.spaces.Box(0.0, 1.0, self._seen.shape[1:], np.float32)
+        self.action_space = gym.spaces.Discrete(self._outcomes.successors.shape[1])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -123,13 +119,3 @@ class GymnasiumGrid(gym.Env):
         x, y = column * _PIXELS, row * _PIXELS
         draw.ellipse([x + margin, y + margin, x + _PIXELS - margin, y + _PIXELS - margin], fill=_AGENT)
         return np.asarray(picture)
-
-
-@cache
-def _tables(game: GridGame) -> Any:
-    """All that can happen on a map of this game, and what is seen from each of its cells, in one program."""
-
-    def tables(params: GridParams) -> tuple[Outcomes, Any]:
-        return game.outcomes(params), game.observe_all(params)
-
-    return eqx.filter_jit(tables)

@@ -1,22 +1,34 @@
-"""Maps as people write them: a line for each row, with S, G, # (obstacle), T (trap) and . (free)."""
+"""Maps as people write them: a line for each row, with S, G, # (obstacle), T (trap) and . (free). Needs no JAX."""
 
-import jax.numpy as jnp
+from typing import Any, NamedTuple
+
 import numpy as np
+from jaxtyping import Bool
 
-from upslope.envs.grid import GridParams, check_settings
+from upslope.envs.grid_rules import check_settings
 from upslope.errors import UpslopeError
 
 START, GOAL, OBSTACLE, TRAP, FREE = "SG#T."
 
 
-def read_map(text: str, *, trap_penalty: float = 1.0, slip: float = 0.0, max_steps: int = 50) -> GridParams:
+class Board(NamedTuple):
+    """One map in NumPy; see `upslope.envs.grid.GridParams`."""
+
+    obstacles: Bool[np.ndarray, "height width"]
+    traps: Bool[np.ndarray, "height width"]
+    start: np.int32
+    goal: np.int32
+    trap_penalty: np.float32
+    slip: np.float32
+
+
+def read_board(text: str, *, trap_penalty: float = 1.0, slip: float = 0.0) -> Board:
     """The map that a text shows.
 
     Args:
         text: one line for each row; spaces around lines do not count.
         trap_penalty: what entering a trap costs.
         slip: probability that a move goes to one of its two sides instead.
-        max_steps: truncation.
 
     Raises:
         UpslopeError: rows of different lengths, an unknown character, not one start and one goal, or a penalty or a
@@ -32,19 +44,18 @@ def read_map(text: str, *, trap_penalty: float = 1.0, slip: float = 0.0, max_ste
         if np.sum(board == mark) != 1:
             raise UpslopeError(f"The map has {np.sum(board == mark)} cells with {mark}: give it one {name}.")
     check_settings(slip, trap_penalty)
-    return GridParams(
-        obstacles=jnp.asarray(board == OBSTACLE),
-        traps=jnp.asarray(board == TRAP),
-        start=jnp.asarray(np.flatnonzero(board == START)[0], jnp.int32),
-        goal=jnp.asarray(np.flatnonzero(board == GOAL)[0], jnp.int32),
-        trap_penalty=jnp.asarray(trap_penalty, jnp.float32),
-        slip=jnp.asarray(slip, jnp.float32),
-        max_steps_in_episode=max_steps,
+    return Board(
+        obstacles=board == OBSTACLE,
+        traps=board == TRAP,
+        start=np.int32(np.flatnonzero(board == START)[0]),
+        goal=np.int32(np.flatnonzero(board == GOAL)[0]),
+        trap_penalty=np.float32(trap_penalty),
+        slip=np.float32(slip),
     )
 
 
-def write_map(params: GridParams) -> str:
-    """One map as text: what `read_map` reads, penalty and slipping apart."""
+def write_map(params: Any) -> str:
+    """One map as text, a task's or a `Board`: what `read_board` reads, penalty and slipping apart."""
     board = np.where(params.obstacles, OBSTACLE, np.where(params.traps, TRAP, FREE))
     board.flat[int(params.start)], board.flat[int(params.goal)] = START, GOAL
     return "\n".join("".join(row) for row in board)

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from upslope.envs.grid import POSITION, GridParams
+from upslope.envs.grid import GridParams
+from upslope.envs.grid_rules import POSITION
 from upslope.planning import solve_all
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Observation, Scalar

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.envs.grid import GridGame, GridParams, check_settings
+from upslope.envs.grid import GridGame, GridParams
+from upslope.envs.grid_rules import check_settings
 from upslope.errors import UpslopeError
 from upslope.tasks.grid_maps import HeldOut, RandomMaps, Split
 from upslope.tasks.jax_tasks import JaxTasks

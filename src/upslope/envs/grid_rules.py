@@ -1,0 +1,103 @@
+"""The rules of grid games as arithmetic on arrays, NumPy's or JAX's: nothing here needs JAX.
+
+So the compiled games and those on the host are one game, and a simulator process need not load JAX to play it.
+"""
+
+import math
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from jaxtyping import Bool, Float, Int
+
+from upslope.errors import UpslopeError
+
+UP, DOWN, LEFT, RIGHT = range(4)
+
+#: Channels of an observation; the last is there only where the game has traps.
+START, GOAL, POSITION, OBSTACLES, TRAPS = range(5)
+
+_ROW_STEPS = (-1, 1, 0, 0)
+_COLUMN_STEPS = (0, 0, -1, 1)
+
+#: Where a move can go: as meant, or, if it slips, to either side of it.
+SIDEWAYS = ((UP, LEFT, RIGHT), (DOWN, LEFT, RIGHT), (LEFT, UP, DOWN), (RIGHT, UP, DOWN))
+
+
+class Outcomes(NamedTuple):
+    """Everything that can follow upon every action in every cell: the dynamics as tables.
+
+    In goals, traps and obstacles nothing can be done: they lead to themselves, without reward, terminated.
+
+    Attributes:
+        successors: s' ``[cells, actions, outcomes]``; one outcome, or three where moves slip.
+        probabilities: of each outcome.
+        rewards: R(s, a, s').
+        terminated: whether s' ends the episode.
+        acting: cells in which one acts ``[cells]``.
+    """
+
+    successors: Int[Any, "cells actions outcomes"]
+    probabilities: Float[Any, "cells actions outcomes"]
+    rewards: Float[Any, "cells actions outcomes"]
+    terminated: Bool[Any, "cells actions outcomes"]
+    acting: Bool[Any, "cells"]
+
+
+def destination(xp: ModuleType, obstacles: Bool[Any, "height width"], cell: Any, direction: Any) -> Any:
+    """Where one stands after a move that did not slip; cells and directions of any shapes that go together."""
+    height, width = obstacles.shape
+    row = cell // width + xp.asarray(_ROW_STEPS)[direction]
+    column = cell % width + xp.asarray(_COLUMN_STEPS)[direction]
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    there = xp.where(inside, row * width + column, cell)
+    return xp.where(obstacles.ravel()[there], cell, there)
+
+
+def arrival(xp: ModuleType, params: Any, cell: Int[Any, "*cells"]) -> tuple[Float[Any, "*cells"], Bool[Any, "*cells"]]:
+    """The reward for entering cells of one map, and whether that ends the episode."""
+    at_goal, trapped = cell == params.goal, params.traps.ravel()[cell]
+    return xp.where(at_goal, 1.0, xp.where(trapped, -params.trap_penalty, 0.0)), at_goal | trapped
+
+
+def chances(xp: ModuleType, slip: Any) -> Float[Any, "3"]:
+    """Of going as meant, and to either side."""
+    return xp.stack([1 - slip, slip / 2, slip / 2])
+
+
+def outcomes(xp: ModuleType, params: Any, *, slippery: bool) -> Outcomes:
+    """The dynamics of one map as tables."""
+    cells = xp.arange(params.obstacles.size)
+    ways = xp.asarray(SIDEWAYS)[:, : 3 if slippery else 1]
+    successors = destination(xp, params.obstacles, cells[:, None, None], ways)
+    probabilities = chances(xp, params.slip) if slippery else xp.ones(1)
+    rewards, terminated = arrival(xp, params, successors)
+    idle = (cells == params.goal) | (params.obstacles | params.traps).ravel()
+    stuck = idle[:, None, None]
+    return Outcomes(
+        xp.where(stuck, cells[:, None, None], successors),
+        xp.broadcast_to(probabilities, successors.shape),
+        xp.where(stuck, 0.0, rewards),
+        stuck | terminated,
+        ~idle,
+    )
+
+
+def observation(xp: ModuleType, params: Any, cell: Any, *, traps: bool) -> Float[Any, "cells channels"]:
+    """What is seen from a cell: channels of zeros and ones."""
+    cells = xp.arange(params.obstacles.size)
+    layers = [cells == where for where in (params.start, params.goal, cell)] + [params.obstacles.ravel()]
+    if traps:
+        layers.append(params.traps.ravel())
+    return xp.stack(layers, axis=-1).astype("float32")
+
+
+def check_settings(slip: float, trap_penalty: float) -> None:
+    """What maps of every origin must keep to.
+
+    Raises:
+        UpslopeError: a probability or a penalty that is none.
+    """
+    if not 0 <= slip < 1:
+        raise UpslopeError(f"slip is {slip}, but it is a probability below 1: give one such as 0.2.")
+    if not (math.isfinite(trap_penalty) and trap_penalty >= 0):
+        raise UpslopeError(f"trap_penalty is {trap_penalty}, but traps cost something: give 0 or a positive number.")
