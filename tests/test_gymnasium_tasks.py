@@ -230,7 +230,9 @@ class TestSpaces:
         np.testing.assert_array_equal(batch.action, 2)
 
     @pytest.mark.parametrize(
-        "actions", [MultiDiscrete([2, 2]), Box(-np.inf, np.inf, (2,)), Box(-1, 1, (2, 2))], ids=str
+        "actions",
+        [MultiDiscrete([2, 2]), Box(-np.inf, np.inf, (2,)), Box(-1, 1, (2, 2)), Box(0, 10, (1,), np.int64)],
+        ids=str,
     )
     def test_actions_that_are_not_supported(self, actions):
         with pytest.raises(UpslopeError, match=r"Actions of .* are not supported"):

@@ -1,5 +1,7 @@
 """Every learner on host families, through the same loop: same phases, finite numbers, checkpoints, learning."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -125,6 +127,27 @@ def test_compiled_environments_have_no_need_of_that():
     state = learner.init(jax.random.key(0))
     assert state.acting is None
     assert learner.gather_ahead(state) is None
+
+
+def test_workers_of_their_own_learn_the_same():
+    family = GymnasiumTasks(
+        host.length, host.short_pole, 0.98, name="cartpole", observation_scale=host.SCALE, mode="async"
+    )
+    few = dataclasses.replace(SMALL, iterations=2, tasks=2, snapshot_every=1, evaluation_tasks=2)
+    priors = [upslope.meta_train(one, seed=0, config=few) for one in (FAMILY, family)]
+    assert priors[0].to_numpy() == priors[1].to_numpy()
+
+
+@pytest.mark.parametrize("family", [poles(host.pushed_pole), upslope.cartpoles(continuous=True)], ids=["host", "JAX"])
+def test_algorithm_1_needs_discrete_actions(family):
+    with pytest.raises(UpslopeError, match=r"continuous actions.*discrete ones"):
+        upslope.meta_train(family, config=SMALL)
+
+
+def test_a_potential_that_jax_can_t_trace_is_told_in_one_line():
+    with pytest.raises(UpslopeError, match=r"write it with jax\.numpy") as caught:
+        upslope.train(FAMILY, FAMILY.sample(jax.random.key(0)), lambda obs: -abs(float(obs[2])), updates=1, every=1)
+    assert "\n" not in str(caught.value)
 
 
 def test_shapes_are_found_without_an_environment():

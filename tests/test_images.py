@@ -62,6 +62,10 @@ class TestFamily:
         with pytest.raises(UpslopeError, match=r"210 × 160 pixels are too large.*ResizeObservation"):
             lamps(Box(0, 255, (210, 160, 3), np.uint8))
 
+    def test_channels_that_come_first_are_refused(self):
+        with pytest.raises(UpslopeError, match=r"\(3, 32, 32\) seem to have their channels first.*moveaxis"):
+            lamps(Box(0, 255, (3, 32, 32), np.uint8))
+
 
 class TestNumpy:
     @pytest.mark.parametrize(

@@ -197,9 +197,10 @@ def check_potential(potential: Potential, family: AbstractFamily) -> Any:
     try:
         shape = jax.eval_shape(potential, obs)
     except Exception as error:
+        why, _, _ = str(error).partition("\n")  # tracers tell pages
         raise UpslopeError(
             f"The potential failed on one observation of shape {family.observation_shape} "
-            f"({type(error).__name__}: {error}): write it with jax.numpy, for one observation."
+            f"({type(error).__name__}: {why}): write it with jax.numpy, for one observation."
         ) from error
     if getattr(shape, "shape", None) != ():
         raise UpslopeError(

@@ -83,6 +83,11 @@ class MetaTraining(AbstractTaskLearner):
     def init(self, key: Key) -> MetaTrainingState:
         key, trial_key, network_key = jax.random.split(key, 3)
         family, config = self.family, self.config
+        if family.continuous:
+            raise UpslopeError(
+                f"{family.name} tasks have continuous actions, of which Algorithm 1 has no Q: meta-train on a family "
+                "with discrete ones and the same observations; its V shapes the rewards of any learner."
+            )
         if config.posterior != "network" and not is_finite(family):
             raise UpslopeError(f'{family.name} tasks are not finite, as that needs: set posterior="network".')
         theta = DuelingQ(

@@ -61,7 +61,8 @@ class Prior:
             if ours != theirs:
                 raise UpslopeError(
                     f"The prior does not fit the tasks: {what} is {ours} in the prior and {theirs} in the tasks. "
-                    "Use a prior that was trained on these tasks, or make the tasks with the prior's settings."
+                    "Use a prior that was trained on these tasks, or make the tasks with the prior's settings; "
+                    "families of one state space share a name, which GymnasiumTasks and gymnax_tasks take as name=."
                 )
 
     def to_numpy(self) -> NumpyPotential:

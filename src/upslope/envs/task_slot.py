@@ -15,6 +15,9 @@ from upslope.errors import UpslopeError
 #: The fully connected layer behind the kernels has 4,096 weights for each pixel.
 MOST_PIXELS = 64 * 64
 
+#: Images whose first axis is this short, and whose others are longer, are taken to have their channels first.
+_MOST_CHANNELS = 4
+
 
 class TaskSlot(gym.Env):
     """Steps the environment of its task; a new task takes effect at the next reset.
@@ -110,6 +113,11 @@ def fitted(env: gym.Env) -> gym.Env:
                 f"Observations of {space} can't be flattened: observe Box, Discrete, Dict or Tuple spaces."
             )
         env = FlattenObservation(env)
+    elif len(space.shape) == 3 and space.shape[0] <= _MOST_CHANNELS and min(space.shape[1:]) > 8:
+        raise UpslopeError(
+            f"Images of shape {space.shape} seem to have their channels first: bring them last, with "
+            "gymnasium.wrappers.TransformObservation and numpy.moveaxis(obs, 0, -1)."
+        )
     elif len(space.shape) == 3 and space.shape[0] * space.shape[1] > MOST_PIXELS:
         raise UpslopeError(
             f"Images of {space.shape[0]} × {space.shape[1]} pixels are too large for kernels without a stride: make "
@@ -119,9 +127,10 @@ def fitted(env: gym.Env) -> gym.Env:
         return env if actions.start == 0 else gym.wrappers.TransformAction(
             env, lambda action: action + actions.start, gym.spaces.Discrete(int(actions.n))
         )  # fmt: skip
-    if not (isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1 and actions.is_bounded()):
+    one_axis = isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1 and actions.is_bounded()
+    if not (isinstance(actions, gym.spaces.Box) and one_axis and np.issubdtype(actions.dtype, np.floating)):
         raise UpslopeError(
-            f"Actions of {actions} are not supported: use Discrete, or a Box of one axis with finite bounds; "
+            f"Actions of {actions} are not supported: use Discrete, or a Box of floats of one axis with finite bounds; "
             "gymnasium.wrappers.TransformAction makes one of other spaces."
         )
     ones = np.ones(actions.shape, actions.dtype)
