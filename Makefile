@@ -6,7 +6,9 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 TESTABLE := $(VENV)/.testable
 
-.PHONY: demo test test-slow reliability lint clean
+TIANSHOU := .venv-tianshou
+
+.PHONY: demo test test-slow reliability tianshou lint clean
 
 demo: $(INSTALLED) ## set up, and reproduce Figure 1 into a new folder under runs/
 	$(BIN)/upslope reproduce fig1
@@ -26,6 +28,14 @@ lint: $(TESTABLE)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+tianshou: $(TIANSHOU)/.installed ## the example of a library whose pins need an environment of its own
+	$(TIANSHOU)/bin/python examples/tianshou_dqn.py --quick
+
+$(TIANSHOU)/.installed: pyproject.toml tianshou-constraints.txt
+	$(PYTHON) -m venv $(TIANSHOU)
+	$(TIANSHOU)/bin/pip install --quiet --constraint tianshou-constraints.txt torch tianshou --editable .
+	touch $(TIANSHOU)/.installed
+
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable .
@@ -38,4 +48,4 @@ $(TESTABLE): $(INSTALLED)
 	touch $(TESTABLE)
 
 clean:
-	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(TIANSHOU) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

@@ -1,8 +1,6 @@
 """Tianshou's DQN on a pole that the prior never saw, with and without shaping.
 
-Tianshou pins pandas below 3, so it wants an environment of its own:
-``python -m venv tianshou-venv``, ``tianshou-venv/bin/pip install torch==2.13.0 tianshou upslope``, then
-``tianshou-venv/bin/python examples/tianshou_dqn.py [--quick]``.
+Tianshou pins pandas below 3, so it wants an environment of its own: ``make tianshou`` makes it, and runs the short form.
 """
 
 from dataclasses import dataclass
