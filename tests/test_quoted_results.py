@@ -111,6 +111,16 @@ class TestGrids:
             )
             assert f"| `{name}` | {' | '.join(cells)} |" in self.TEXT
 
+    def test_adaptation(self) -> None:
+        left = json.loads((ROOT / "docs" / "data" / "fig5" / "results.json").read_text())["panels"]["left"]
+        for name in left["arms"]:
+            arms = [left["variants"][stop][name] for stop in ("1500", "3000", "6000")]
+            cells = (f"{arm['mean_over_evaluations']:.3f} | {sum(q >= 1 for q in arm['q1'][1:])}" for arm in arms)
+            assert f"| `{name}` | {' | '.join(cells)} |" in self.TEXT
+        starts = left["zero_shot_on_tuning_tasks"]
+        assert f"1,500 ({starts['1500']:.2f})" in self.TEXT
+        assert f"({starts['3000']:.2f} at 3,000)" in self.TEXT
+
     def test_what_limits_them(self) -> None:
         row = self.READINGS["algorithm1"]
         on_training_maps = np.mean([of_seed[-1] for of_seed in row["success_on_training_maps"]])
