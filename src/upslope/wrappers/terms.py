@@ -1,45 +1,49 @@
 """The terms of a shaping: γ, scale, bias, and how its weight changes over time. The same for every kind of wrapper."""
 
 import math
+from numbers import Integral, Real
 from typing import Any
 
 from upslope.errors import UpslopeError
+
+# Discounts this close are the same one: float32 keeps about seven digits.
+_SAME = 1e-6
 
 
 class Terms:
     """Φ' = w(t)·(bias + scale·Φ), and F = d·Φ'(s') − Φ'(s) with d = γ·(1 − terminated).
 
     Attributes:
-        gamma: γ.
+        gamma: γ of one step.
         scale: of Φ.
         bias: added to Φ, in units of return. Both move Q's initial values, and so how a deep learner explores.
         anneal_steps: w falls linearly from 1 to 0 over so many steps; None keeps it at 1.
     """
 
-    def __init__(self, potential: Any, gamma: float, scale: float, bias: float, anneal_steps: int | None):
+    def __init__(
+        self, potential: Any, gamma: Any, scale: Any = 1.0, bias: Any = 0.0, anneal_steps: Any = None, repeat: Any = 1
+    ):
         """Takes the settings, and Φ for the γ that it was learned with.
 
         Raises:
             UpslopeError: no discount, another γ than the prior's, or settings that are no numbers.
         """
-        if not (isinstance(gamma, int | float) and 0 < gamma <= 1):
+        if not (_is_finite(gamma) and 0 < gamma <= 1):
             raise UpslopeError(
                 f"gamma is {gamma!r}, but a discount lies in (0, 1]: give the one that the learner uses."
             )
-        learned_with = getattr(potential, "gamma", None)
-        if learned_with is not None and learned_with != gamma:
-            raise UpslopeError(
-                f"gamma is {gamma}, but the prior was learned with {learned_with}: give gamma={learned_with} to the "
-                "shaping and to the learner, or meta-train a prior with the learner's gamma."
-            )
         for name, value in (("scale", scale), ("bias", bias)):
-            if not (isinstance(value, int | float) and math.isfinite(value)):
+            if not _is_finite(value):
                 raise UpslopeError(f"{name} is {value!r}, but it must be a finite number: give one such as 1.0.")
-        if anneal_steps is not None and not (isinstance(anneal_steps, int) and anneal_steps >= 1):
+        if anneal_steps is not None and not _is_count(anneal_steps):
             raise UpslopeError(
                 f"anneal_steps is {anneal_steps!r}: give a whole number of steps, or None for no annealing."
             )
-        self.gamma, self.scale, self.bias, self.anneal_steps = float(gamma), float(scale), float(bias), anneal_steps
+        if not _is_count(repeat):
+            raise UpslopeError(f"repeat is {repeat!r}: give how often a step repeats its action, 1 if it does not.")
+        self.gamma, self.scale, self.bias = float(gamma), float(scale), float(bias)
+        self.anneal_steps = None if anneal_steps is None else int(anneal_steps)
+        _check_gamma(getattr(potential, "gamma", None), self.gamma, int(repeat))
 
     def weight(self, step: int) -> float:
         """w(t) after ``step`` steps."""
@@ -55,3 +59,24 @@ class Terms:
             "A replay mixes F of many weights, and that is not policy-invariant: anneal over less than the replay "
             "holds, or shape where batches are drawn."
         )
+
+
+def _check_gamma(learned_with: Any, gamma: float, repeat: int) -> None:
+    """Whether γ of one step is the prior's, to the power of the actions in a step."""
+    if not _is_finite(learned_with) or math.isclose(gamma, learned_with**repeat, abs_tol=_SAME):
+        return
+    needed = f"{learned_with**repeat:.8g}"
+    power = f", which is {needed} for {repeat} repeated actions" if repeat > 1 else ""
+    raise UpslopeError(
+        f"gamma is {gamma:.8g}, but the prior was learned with {learned_with}{power}: give gamma={needed} to the "
+        "shaping and to the learner, set repeat to how often a step repeats its action (gamma is then the prior's to "
+        "that power), or meta-train a prior with the learner's gamma."
+    )
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
