@@ -1,11 +1,16 @@
-"""Vector environments whose workers are processes of their own, and may die. Needs no JAX."""
+"""Vector environments that fail: workers are processes of their own and may die, and shapes may change. No JAX."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from gymnasium.error import ClosedEnvironmentError
+
 from upslope.errors import UpslopeError
 
 Result = TypeVar("Result")
+
+# What numpy says when an observation does not fit into the array of all of them.
+_MISFITS = ("could not broadcast", "Output array is the wrong shape", "must have the same shape")
 
 
 class DeadWorkerError(UpslopeError):
@@ -17,6 +22,7 @@ def alive(call: Callable[..., Result], *inputs: Any) -> Result:
 
     Raises:
         DeadWorkerError: the pipe to a worker is broken: the worker has died.
+        UpslopeError: an observation does not fit in, or the vector environment is closed.
     """
     try:
         return call(*inputs)
@@ -25,3 +31,23 @@ def alive(call: Callable[..., Result], *inputs: Any) -> Result:
             f"A worker process of the vector environment died ({type(error).__name__}): run the environment alone "
             "in a SyncVectorEnv to see why; running out of memory is the usual cause."
         ) from error
+    except ClosedEnvironmentError as error:
+        raise UpslopeError(
+            "The vector environment is closed, as it is after one of its workers died: make a new one."
+        ) from error
+    except ValueError as error:
+        if not any(words in str(error) for words in _MISFITS):
+            raise
+        raise UpslopeError(
+            f"An environment gave an observation of another shape than its observation space says ({error}): "
+            "mend its observation_space, or what changes the observation's shape."
+        ) from error
+
+
+def end_workers(env: Any) -> None:
+    """Kills the processes of a vector environment that lost one: closing it would wait for the lost one's answer."""
+    env = env.unwrapped
+    for worker in getattr(env, "processes", ()):
+        worker.kill()
+        worker.join()
+        env.closed = True
