@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from upslope.errors import UpslopeError
 from upslope.numpy_potential import NumpyPotential
+from upslope.wrappers.observations import check_shape, join, pick, split
 
 
 class CallingForm(NamedTuple):
@@ -38,7 +38,7 @@ class Evaluator:
         """
         self.potential: Any = resolve(potential)
         self._space = space
-        self._shape = space.shape if isinstance(space, gym.spaces.Box) else None
+        self._shape = space.shape
         self._is_prior = isinstance(self.potential, NumpyPotential)
         self._form: CallingForm | None = None
         if hasattr(self.potential, "trained_on"):
@@ -50,8 +50,8 @@ class Evaluator:
         Raises:
             UpslopeError: Φ fails, or is not one finite number; or the observation is of another shape than the space.
         """
-        if self._shape is not None and np.shape(obs) != self._shape:
-            raise _wrong_shape(np.shape(obs), self._shape)
+        if self._shape is None or np.shape(obs) != self._shape:  # the usual case costs one comparison
+            check_shape(self._space, obs)
         try:
             value = self.potential(obs) if self._is_prior else self._number(obs)
         except UpslopeError:
@@ -72,11 +72,30 @@ class Evaluator:
         Raises:
             UpslopeError: see `one`.
         """
-        if self._shape is not None and np.shape(batch) != (count, *self._shape):
-            raise _wrong_shape(np.shape(batch), (count, *self._shape))
-        form = None if self._is_prior else self._form or self._find_form(self._split(batch, count)[0])
+        check_shape(self._space, batch, (count,))
+        return self._all(batch, count)
+
+    def where(self, batch: Any, asked: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Φ of those of a batch that are asked for, and zero elsewhere: there it need not be defined.
+
+        Raises:
+            UpslopeError: see `one`.
+        """
+        count = len(asked)
+        check_shape(self._space, batch, (count,))
+        if asked.all():
+            return self._all(batch, count)
+        values = np.zeros(count)
+        if asked.any():
+            # One that is asked for stands in for the others: a compiled Φ then sees batches of one size only.
+            rows = np.where(asked, np.arange(count), np.argmax(asked))
+            values[asked] = self._all(pick(self._space, batch, rows), count)[asked]
+        return values
+
+    def _all(self, batch: Any, count: int) -> Float[np.ndarray, "n"]:
+        form = None if self._is_prior else self._form or self._find_form(split(self._space, batch, count)[0])
         if form is not None and not form.batched:
-            return self.several(self._split(batch, count))
+            return self.several(split(self._space, batch, count))
         try:
             values = self.potential.values(batch) if form is None else self._call(batch, count, form)
         except UpslopeError:
@@ -85,18 +104,12 @@ class Evaluator:
             raise _failed(error, batch) from error
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
-            raise _not_finite(values[bad[0]], self._split(batch, count)[bad[0]])
+            raise _not_finite(values[bad[0]], split(self._space, batch, count)[bad[0]])
         return values
 
     def _number(self, obs: Any) -> float:
         form = self._form or self._find_form(obs)
-        return float(self._call(_join(self._space, [obs]) if form.batched else obs, 1, form)[0])
-
-    def _split(self, batch: Any, count: int) -> list[Any]:
-        """The single observations of a batch."""
-        if isinstance(batch, np.ndarray):
-            return [batch[i] for i in range(count)]
-        return list(iterate(batch_space(self._space, count), batch))
+        return float(self._call(join(self._space, [obs]) if form.batched else obs, 1, form)[0])
 
     def _find_form(self, obs: Any) -> CallingForm:
         """The first way of calling Φ that gives one number for one observation."""
@@ -109,7 +122,7 @@ class Evaluator:
         troubles = []
         for form in forms:
             try:
-                self._call(_join(self._space, [obs]) if form.batched else obs, 1, form)
+                self._call(join(self._space, [obs]) if form.batched else obs, 1, form)
             except Exception as error:
                 troubles.append(error)
             else:
@@ -152,18 +165,19 @@ def resolve(potential: Any) -> Callable[[Any], Any]:
     return potential
 
 
+def recordable(potential: Any) -> Any:
+    """A potential as a spec keeps it: paths as text, for JSON, and priors as plain numpy, compared by value."""
+    if isinstance(potential, Path):
+        return str(potential)
+    return resolve(potential) if hasattr(potential, "to_numpy") else potential
+
+
 def _check_space(shape: tuple[int, ...], space: gym.Space) -> None:
     if not isinstance(space, gym.spaces.Box) or space.shape != tuple(shape):
         raise UpslopeError(
             f"The prior is for observations of shape {tuple(shape)}, but the environment's observations are {space}: "
             "use a prior of this family, or a wrapper such as gymnasium.wrappers.FlattenObservation below the shaping."
         )
-
-
-def _join(space: gym.Space, observations: Sequence[Any]) -> Any:
-    """A batch of single observations."""
-    empty: Any = create_empty_array(space, len(observations))
-    return concatenate(space, observations, empty)
 
 
 def _without_gradients(potential: Callable, inputs: Any) -> Any:
@@ -179,13 +193,6 @@ def _without_gradients(potential: Callable, inputs: Any) -> Any:
 
     with torch.no_grad():
         return potential(tensor(inputs))
-
-
-def _wrong_shape(shape: tuple[int, ...], expected: tuple[int, ...]) -> UpslopeError:
-    return UpslopeError(
-        f"The environment gave an observation of shape {shape}, but its observation space says {expected}: "
-        "mend the environment's observation_space, or what changes the observation's shape."
-    )
 
 
 def _failed(error: Exception, obs: Any) -> UpslopeError:
