@@ -10,7 +10,7 @@ from upslope.wrappers.terms import Terms
 
 
 class Levels:
-    """Bias + scale·Φ of ``n`` environments, and the weight that each counts with.
+    """w·(bias + scale·Φ) of ``n`` environments. Φ is asked only where it counts: elsewhere it need not be defined.
 
     Attributes:
         steps: taken by every environment so far; they decide the weight.
@@ -22,13 +22,23 @@ class Levels:
         self.steps = 0
         self.active = active
 
-    def of(self, obs: Any, *, enabled: bool) -> Float[np.ndarray, "n"]:
-        """Bias + scale·Φ of a batch of observations; zeros where nothing is shaped, now or after the next reset."""
-        if not (self.active.any() or enabled) or not self._terms.weight(self.steps):
-            return np.zeros(len(self.active))
-        return self._terms.bias + self._terms.scale * self._evaluator.many(obs, len(self.active))
+    def of(self, obs: Any, asked: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """The levels of a batch of observations, zero where they are not asked for or the episode is not shaped."""
+        return self._weighted(asked, lambda counted: self._evaluator.where(obs, counted))
 
-    @property
-    def weights(self) -> Float[np.ndarray, "n"]:
-        """w(t) where the episode is shaped, else zero."""
-        return self.active * self._terms.weight(self.steps)
+    def of_last(self, observations: Any, asked: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """The same for the last observations of episodes, which come one by one; there are none of the others."""
+
+        def values(counted: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+            found = np.zeros(len(counted))
+            found[counted] = self._evaluator.several([observations[i] for i in np.flatnonzero(counted)])
+            return found
+
+        return self._weighted(asked, values)
+
+    def _weighted(self, asked: Bool[np.ndarray, "n"], values: Any) -> Float[np.ndarray, "n"]:
+        weight = self._terms.weight(self.steps)
+        counted = asked & self.active
+        if not weight or not counted.any():
+            return np.zeros(len(asked))
+        return np.where(counted, weight * (self._terms.bias + self._terms.scale * values(counted)), 0.0)

@@ -7,7 +7,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.wrappers import Autoreset
 
 from upslope.errors import UpslopeError
-from upslope.wrappers.evaluation import Evaluator
+from upslope.wrappers.evaluation import Evaluator, recordable
 from upslope.wrappers.terms import Terms
 
 
@@ -36,6 +36,7 @@ class PotentialShaping(gym.Wrapper, RecordConstructorArgs):
         bias: float = 0.0,
         enabled: bool = True,
         anneal_steps: int | None = None,
+        repeat: int = 1,
     ):
         """Wraps one environment.
 
@@ -44,23 +45,27 @@ class PotentialShaping(gym.Wrapper, RecordConstructorArgs):
             potential: Φ: a prior, the path of a saved one, or a function of one observation (numpy, JAX or torch;
                 with a leading batch axis if it needs one). It must not change: potentials that move are for
                 shaping where batches are drawn.
-            gamma: γ, the learner's own. With k repeated actions per step it is γ of one action to the power of k.
+            gamma: γ of one step, the learner's own. With k repeated actions per step it is γ of one action to the
+                power of k.
             scale: Φ is multiplied by it.
             bias: is added to Φ, in units of return.
             enabled: the switch.
             anneal_steps: the shaping's weight falls linearly to zero over so many steps.
+            repeat: how often a step repeats its action (frame-skip); ``gamma`` is checked against the prior's to the
+                power of it, and nothing else depends on it.
 
         Raises:
             UpslopeError: no single environment, no potential, a prior for other observations or with another γ.
         """
         RecordConstructorArgs.__init__(
             self,
-            potential=potential,
+            potential=recordable(potential),
             gamma=gamma,
             scale=scale,
             bias=bias,
             enabled=enabled,
             anneal_steps=anneal_steps,
+            repeat=repeat,
         )
         if not isinstance(env, gym.Env):
             raise UpslopeError(
@@ -70,7 +75,7 @@ class PotentialShaping(gym.Wrapper, RecordConstructorArgs):
         gym.Wrapper.__init__(self, env)
         self.enabled = enabled
         self._evaluator = Evaluator(potential, env.observation_space)
-        self._terms = Terms(self._evaluator.potential, gamma, scale, bias, anneal_steps)
+        self._terms = Terms(self._evaluator.potential, gamma, scale, bias, anneal_steps, repeat)
         self._resets_itself = _holds(env, Autoreset)
         self._steps = 0
         self._active = enabled

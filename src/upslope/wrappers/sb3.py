@@ -3,10 +3,12 @@
 Needs the extra ``upslope[sb3]``; nothing else here imports it.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from upslope.envs.workers import DeadWorkerError, alive, end_workers
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
 from upslope.wrappers.levels import Levels
@@ -42,17 +44,19 @@ class PotentialShaping(VecEnvWrapper):
         bias: float = 0.0,
         enabled: bool = True,
         anneal_steps: int | None = None,
+        repeat: int = 1,
     ):
         """Wraps a VecEnv; see `upslope.PotentialShaping` for the arguments.
 
         Args:
             venv: any VecEnv.
             potential: Φ.
-            gamma: γ, the learner's own.
+            gamma: γ of one step, the learner's own.
             scale: Φ is multiplied by it.
             bias: is added to Φ, in units of return.
             enabled: the switch.
             anneal_steps: the shaping's weight falls linearly to zero over so many steps of every environment.
+            repeat: how often a step repeats its action.
 
         Raises:
             UpslopeError: no VecEnv, no potential, a prior for other observations or with another γ.
@@ -64,10 +68,15 @@ class PotentialShaping(VecEnvWrapper):
             )
         super().__init__(venv)
         self.enabled = enabled
-        self._evaluator = Evaluator(potential, venv.observation_space)
-        self._terms = Terms(self._evaluator.potential, gamma, scale, bias, anneal_steps)
-        self._levels = Levels(self._evaluator, self._terms, np.full(venv.num_envs, enabled))
+        evaluator = Evaluator(potential, venv.observation_space)
+        self._terms = Terms(evaluator.potential, gamma, scale, bias, anneal_steps, repeat)
+        self._levels = Levels(evaluator, self._terms, np.full(venv.num_envs, enabled))
         self._potentials: np.ndarray | None = None
+
+    @property
+    def gamma(self) -> float:
+        """γ that F is computed with; the learner must use the same."""
+        return self._terms.gamma
 
     @property
     def invariance(self) -> str:
@@ -75,44 +84,59 @@ class PotentialShaping(VecEnvWrapper):
         return self._terms.invariance
 
     def reset(self) -> Any:
-        obs = self.venv.reset()
+        obs = self._alive(self.venv.reset)
         self._levels.active = np.full(self.num_envs, self.enabled)
-        self._potentials = self._levels.weights * self._levels.of(obs, enabled=self.enabled)
+        self._potentials = self._levels.of(obs, np.ones(self.num_envs, bool))
         return obs
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self._alive(lambda: self.venv.step_async(actions))
 
     def step_wait(self) -> Any:
         """One step of each, the rewards shaped.
 
         Raises:
-            UpslopeError: before the first reset, a hidden terminal observation, or where Φ fails.
+            UpslopeError: before the first reset, a hidden terminal observation, one of another shape, a worker that
+                died (the others are ended too), or where Φ fails.
         """
         if self._potentials is None:
             raise UpslopeError("step was called before reset: reset the VecEnv first.")
-        obs, rewards, dones, infos = self.venv.step_wait()
+        obs, rewards, dones, infos = self._alive(self.venv.step_wait)
         self._levels.steps += 1
-        levels = self._levels.of(obs, enabled=self.enabled)
-        following = self._levels.weights * self._true_successors(levels, dones, infos)
-        added = self._terms.gamma * following - self._potentials
+        last = self._levels_of_last(dones, infos)
         self._levels.active = np.where(dones, self.enabled, self._levels.active)
-        self._potentials = self._levels.weights * levels
+        potentials = self._levels.of(obs, np.ones_like(dones))
+        following = np.where(dones, last, potentials)
+        added = self._terms.gamma * following - self._potentials
+        self._potentials = potentials
         infos = [_told(info, *row) for info, *row in zip(infos, rewards, added, following, strict=True)]
         return obs, (rewards + added).astype(rewards.dtype), dones, infos
 
-    def _true_successors(self, levels: np.ndarray, dones: np.ndarray, infos: Any) -> np.ndarray:
-        """Bias + scale·Φ where it counts: of the last observation where truncated, zero where terminated."""
-        levels = levels.copy()
-        for i in np.flatnonzero(dones):
+    def close(self) -> None:
+        """Closes the environments; where a worker has died, it ends the others."""
+        try:
+            self._alive(self.venv.close)
+        except DeadWorkerError:
+            return  # nothing is left to close
+
+    def _alive(self, call: Callable[[], Any]) -> Any:
+        """Calls the VecEnv. One that has lost a worker can't go on, nor be closed: its workers end."""
+        try:
+            return alive(call)
+        except DeadWorkerError:
+            end_workers(self.venv)
+            raise
+
+    def _levels_of_last(self, dones: np.ndarray, infos: Any) -> np.ndarray:
+        """The levels of the last observations where episodes were truncated; zero where they terminated."""
+        for i in np.flatnonzero(dones & self._levels.active):
             if "terminal_observation" not in infos[i]:
                 raise UpslopeError(
                     "The VecEnv resets but hides the final observation: it must give it in "
                     'infos[i]["terminal_observation"], as those of Stable-Baselines3 do.'
                 )
-            truncated = infos[i].get("TimeLimit.truncated", False)
-            value = (
-                self._evaluator.one(infos[i]["terminal_observation"]) if truncated and self._levels.active[i] else 0.0
-            )
-            levels[i] = self._terms.bias + self._terms.scale * value if truncated else 0.0
-        return levels
+        truncated = [bool(done and info.get("TimeLimit.truncated")) for done, info in zip(dones, infos, strict=True)]
+        return self._levels.of_last([info.get("terminal_observation") for info in infos], np.array(truncated))
 
 
 class ShapedReplayBuffer(ReplayBuffer):
@@ -122,18 +146,39 @@ class ShapedReplayBuffer(ReplayBuffer):
     which is not policy-invariant. Give it to an off-policy learner of Stable-Baselines3 with an unshaped environment:
     ``DQN(..., replay_buffer_class=ShapedReplayBuffer, replay_buffer_kwargs={"potential": phi, "gamma": 0.98})``.
 
+    - One γ: the learner bootstraps with the buffer's, which comes with every batch; its own is not used. Give both
+      the same, so that the learner reports the one that it learns with.
+    - One step: ``n_steps`` above 1 is refused here. What is given to the learner itself can't be seen from here:
+      Stable-Baselines3 warns that it ignores it, and learns from one step.
+    - There is no scale, bias or annealing: put them into Φ, which may move.
+
     Attributes:
         potential: Φ; assign another to move it.
     """
 
-    def __init__(self, *arguments: Any, potential: Any, gamma: float, **settings: Any):
+    def __init__(
+        self, *arguments: Any, potential: Any, gamma: float, repeat: int = 1, n_steps: int = 1, **settings: Any
+    ):
         """Takes what the buffer of Stable-Baselines3 takes, and Φ with the learner's γ.
 
+        Args:
+            arguments: as for the buffer of Stable-Baselines3.
+            potential: Φ, as for `PotentialShaping`.
+            gamma: γ of one step.
+            repeat: how often a step repeats its action.
+            n_steps: 1: returns of more steps are not to be had with a potential that moves.
+            settings: as for the buffer of Stable-Baselines3.
+
         Raises:
-            UpslopeError: no potential, a prior for other observations or with another γ.
+            UpslopeError: no potential, a prior for other observations or with another γ, or returns of many steps.
         """
+        if n_steps != 1:
+            raise UpslopeError(
+                f"n_steps is {n_steps}, but ShapedReplayBuffer gives returns of one step: leave it out, or shape with "
+                "upslope.wrappers.sb3.PotentialShaping and the learner's own buffer."
+            )
         super().__init__(*arguments, **settings)
-        self._gamma = gamma
+        self._gamma, self._repeat = gamma, repeat
         self.potential = potential
 
     @property
@@ -143,7 +188,7 @@ class ShapedReplayBuffer(ReplayBuffer):
     @potential.setter
     def potential(self, potential: Any) -> None:
         evaluator = Evaluator(potential, self.observation_space)
-        Terms(evaluator.potential, self._gamma, 1.0, 0.0, None)
+        self._terms = Terms(evaluator.potential, self._gamma, repeat=self._repeat)
         self._evaluator = evaluator
 
     def _get_samples(self, batch_inds: np.ndarray, env: VecNormalize | None = None) -> ReplayBufferSamples:
@@ -154,12 +199,14 @@ class ShapedReplayBuffer(ReplayBuffer):
             )
         samples = super()._get_samples(batch_inds, env)
         both = np.concatenate([samples.observations.cpu().numpy(), samples.next_observations.cpu().numpy()])
-        # In one call, so that Φ can't move in between.
-        phi, ahead = np.split(self._evaluator.many(both, len(both)), 2)
+        both = both.reshape(-1, *self.observation_space.shape)  # the replay keeps discrete ones as vectors of one
         # Terminated steps have done = 1 here, and truncated ones 0: the very factor of the learner's bootstrap.
-        discount = self._gamma * (1.0 - samples.dones.cpu().numpy()[:, 0])
-        added = self.to_torch((discount * ahead - phi).astype(np.float32)[:, None])
-        return samples._replace(rewards=samples.rewards + added)
+        goes_on = samples.dones.cpu().numpy()[:, 0] == 0
+        # In one call, so that Φ can't move in between; Φ need not be defined at terminal states.
+        phi, ahead = np.split(self._evaluator.where(both, np.append(np.ones_like(goes_on), goes_on)), 2)
+        added = self.to_torch((self._terms.gamma * ahead - phi).astype(np.float32)[:, None])
+        discounts = samples.rewards.new_full(samples.rewards.shape, self._terms.gamma)
+        return samples._replace(rewards=samples.rewards + added, discounts=discounts)
 
 
 def _told(info: dict[str, Any], reward: Any, added: Any, potential: Any) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The vector twin of `upslope.wrappers.PotentialShaping`, under all three autoreset modes."""
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -8,9 +9,9 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode
 from jaxtyping import Bool, Float
 
-from upslope.envs.workers import alive
+from upslope.envs.workers import DeadWorkerError, alive, end_workers
 from upslope.errors import UpslopeError
-from upslope.wrappers.evaluation import Evaluator
+from upslope.wrappers.evaluation import Evaluator, recordable
 from upslope.wrappers.levels import Levels
 from upslope.wrappers.terms import Terms
 
@@ -36,17 +37,19 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         bias: float = 0.0,
         enabled: bool = True,
         anneal_steps: int | None = None,
+        repeat: int = 1,
     ):
         """Wraps a vector environment; see the single wrapper for the arguments.
 
         Args:
             env: any vector environment that says how it resets in ``metadata["autoreset_mode"]``.
             potential: Φ.
-            gamma: γ, the learner's own.
+            gamma: γ of one step, the learner's own.
             scale: Φ is multiplied by it.
             bias: is added to Φ, in units of return.
             enabled: the switch.
             anneal_steps: the shaping's weight falls linearly to zero over so many steps of every sub-environment.
+            repeat: how often a step repeats its action.
 
         Raises:
             UpslopeError: no vector environment, an unknown autoreset mode, no potential, a prior for other
@@ -54,12 +57,13 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         """
         RecordConstructorArgs.__init__(
             self,
-            potential=potential,
+            potential=recordable(potential),
             gamma=gamma,
             scale=scale,
             bias=bias,
             enabled=enabled,
             anneal_steps=anneal_steps,
+            repeat=repeat,
         )
         if not isinstance(env, gym.vector.VectorEnv):
             raise UpslopeError(
@@ -69,9 +73,9 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         gym.vector.VectorWrapper.__init__(self, env)
         self._mode = _autoreset_mode(env)
         self.enabled = enabled
-        self._evaluator = Evaluator(potential, env.single_observation_space)
-        self._terms = Terms(self._evaluator.potential, gamma, scale, bias, anneal_steps)
-        self._levels = Levels(self._evaluator, self._terms, np.full(self.num_envs, enabled))
+        evaluator = Evaluator(potential, env.single_observation_space)
+        self._terms = Terms(evaluator.potential, gamma, scale, bias, anneal_steps, repeat)
+        self._levels = Levels(evaluator, self._terms, np.full(self.num_envs, enabled))
         self._potentials: Float[np.ndarray, n] | None = None
         self._resetting = np.zeros(self.num_envs, bool)
 
@@ -88,10 +92,10 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         """Resets all sub-environments, or those of ``options["reset_mask"]``."""
         # The mask is copied: Gymnasium takes it out of the options.
         fresh = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
-        obs, infos = alive(lambda: self.env.reset(seed=seed, options=options))
-        self._levels.active = np.where(fresh, self.enabled, self._levels.active)
+        obs, infos = self._alive(lambda: self.env.reset(seed=seed, options=options))
+        self._begin(fresh)
         previous = np.zeros(self.num_envs) if self._potentials is None else self._potentials
-        self._potentials = np.where(fresh, self._levels.weights * self._levels.of(obs, enabled=self.enabled), previous)
+        self._potentials = np.where(fresh, self._levels.of(obs, fresh), previous)
         self._resetting = self._resetting & ~fresh
         none = np.zeros(self.num_envs)
         told = self._told(infos, none, none, self._potentials)
@@ -101,25 +105,64 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         """One step of each, the rewards shaped.
 
         Raises:
-            UpslopeError: before the first reset, a hidden final observation, a worker that died, or where Φ fails.
+            UpslopeError: before the first reset, a hidden final observation, one of another shape, a worker that died
+                (the others are ended too), or where Φ fails.
         """
         if self._potentials is None:
             raise UpslopeError("step was called before reset: reset the vector environment first.")
-        obs, rewards, terminated, truncated, infos = alive(lambda: self.env.step(actions))
+        obs, rewards, terminated, truncated, infos = self._alive(lambda: self.env.step(actions))
         rewards = np.asarray(rewards, np.float64)
         done = np.logical_or(terminated, truncated)
-        self._levels.steps += 1
         starting = self._resetting if self._mode is AutoresetMode.NEXT_STEP else np.zeros_like(done)
-        levels = self._levels.of(obs, enabled=self.enabled)
-        following = self._levels.weights * self._true_successors(levels, done & ~np.asarray(terminated), done, infos)
-        following = np.where(terminated, 0.0, following)
+        self._levels.steps += 1
+        if self._mode is AutoresetMode.SAME_STEP:
+            following, potentials = self._levels_around_resets(obs, np.asarray(terminated), done, infos)
+        else:
+            self._begin(starting)
+            following = potentials = self._levels.of(obs, np.logical_not(terminated))
         added = np.where(starting, 0.0, self._terms.gamma * following - self._potentials)
-        fresh = done if self._mode is AutoresetMode.SAME_STEP else starting
-        self._levels.active = np.where(fresh, self.enabled, self._levels.active)
-        self._potentials = self._levels.weights * levels
+        self._potentials = potentials
         self._resetting = done
-        counted = np.where(starting, self._potentials, following)
-        return obs, rewards + added, terminated, truncated, self._told(infos, rewards, added, counted)
+        return obs, rewards + added, terminated, truncated, self._told(infos, rewards, added, following)
+
+    def close(self, **settings: Any) -> None:
+        """Closes the environments; where a worker has died, it ends the others."""
+        try:
+            self._alive(lambda: self.env.close(**settings))
+        except DeadWorkerError:
+            return  # nothing is left to close
+
+    def _alive(self, call: Callable[[], Any]) -> Any:
+        """Calls the vector environment. One that has lost a worker can't go on, nor be closed: its workers end."""
+        try:
+            return alive(call)
+        except DeadWorkerError:
+            end_workers(self.env)
+            raise
+
+    def _begin(self, fresh: Bool[np.ndarray, "n"]) -> None:
+        """New episodes in some of the sub-environments: the switch takes effect there."""
+        self._levels.active = np.where(fresh, self.enabled, self._levels.active)
+
+    def _levels_around_resets(
+        self,
+        obs: Any,
+        terminated: Bool[np.ndarray, "n"],
+        done: Bool[np.ndarray, "n"],
+        infos: dict[str, Any],
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """The levels that count as those of the successors, and those of what is shown, some of it newly reset."""
+        finals = infos.get("final_obs")
+        ended = np.flatnonzero(done & self._levels.active)
+        if ended.size and (finals is None or any(finals[i] is None for i in ended)):
+            raise UpslopeError(
+                "The vector environment resets in the same step but hides the final observation: it must give it in "
+                'infos["final_obs"], or use AutoresetMode.NEXT_STEP.'
+            )
+        last = self._levels.of_last(finals, done & ~terminated)
+        self._begin(done)
+        shown = self._levels.of(obs, np.ones_like(done))
+        return np.where(done, last, shown), shown
 
     def _told(self, infos: dict[str, Any], rewards: np.ndarray, added: np.ndarray, counted: np.ndarray) -> dict:
         count = self.num_envs
@@ -129,28 +172,6 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
             "potential": counted + _from_inside(infos, "potential", 0.0, count),
         }
         return infos | values | {f"_{name}": np.ones(count, bool) for name in values}
-
-    def _true_successors(
-        self,
-        levels: Float[np.ndarray, "n"],
-        truncated: Bool[np.ndarray, "n"],
-        done: Bool[np.ndarray, "n"],
-        infos: dict[str, Any],
-    ) -> Float[np.ndarray, "n"]:
-        """Φ of the true successors, where they count: reset observations are not used for it."""
-        if self._mode is not AutoresetMode.SAME_STEP or not done.any():
-            return levels
-        finals = infos.get("final_obs")
-        if finals is None or any(finals[i] is None for i in np.flatnonzero(done)):
-            raise UpslopeError(
-                "The vector environment resets in the same step but hides the final observation: it must give it in "
-                'infos["final_obs"], or use AutoresetMode.NEXT_STEP.'
-            )
-        levels = levels.copy()
-        levels[truncated] = self._terms.bias + self._terms.scale * self._evaluator.several(
-            [finals[i] for i in np.flatnonzero(truncated)]
-        )
-        return levels
 
 
 def _autoreset_mode(env: gym.vector.VectorEnv) -> AutoresetMode:
