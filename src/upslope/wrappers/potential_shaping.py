@@ -8,13 +8,14 @@ from gymnasium.wrappers import Autoreset
 
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator, recordable
-from upslope.wrappers.terms import Terms
+from upslope.wrappers.terms import Count, Number, Terms
 
 
 class PotentialShaping(gym.Wrapper, RecordConstructorArgs):
     """R' = R + F with F = γ·Φ(s') − Φ(s) (Def. 2.1), which leaves every optimal policy optimal (Thm. 2.1).
 
-    - Terminated: Φ(s') counts as zero, and −Φ(s) is still paid. Truncated: Φ(s') is kept. Both at once: terminated.
+    - Terminated: Φ(s') counts as zero without being asked for, and −Φ(s) is still paid. Truncated: Φ(s') is kept.
+      Both at once: terminated.
     - ``info`` holds ``raw_reward``, ``shaping_reward`` (F) and ``potential`` (Φ as it counted: zero at a terminal
       state). Wrapped twice, both shapings add up and ``raw_reward`` stays the environment's.
     - Order: environment, monitor (raw returns), this wrapper, then normalisation. Never clip or centre R + F. Evaluate
@@ -30,13 +31,13 @@ class PotentialShaping(gym.Wrapper, RecordConstructorArgs):
         self,
         env: gym.Env | Any,
         potential: Any,
-        gamma: float,
+        gamma: Number,
         *,
-        scale: float = 1.0,
-        bias: float = 0.0,
+        scale: Number = 1.0,
+        bias: Number = 0.0,
         enabled: bool = True,
-        anneal_steps: int | None = None,
-        repeat: int = 1,
+        anneal_steps: Count | None = None,
+        repeat: Count = 1,
     ):
         """Wraps one environment.
 

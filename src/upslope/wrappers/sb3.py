@@ -12,7 +12,7 @@ from upslope.envs.workers import DeadWorkerError, alive, end_workers
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
 from upslope.wrappers.levels import Levels
-from upslope.wrappers.terms import Terms
+from upslope.wrappers.terms import Count, Number, Terms
 
 try:
     from stable_baselines3.common.buffers import ReplayBuffer
@@ -38,13 +38,13 @@ class PotentialShaping(VecEnvWrapper):
         self,
         venv: VecEnv | Any,
         potential: Any,
-        gamma: float,
+        gamma: Number,
         *,
-        scale: float = 1.0,
-        bias: float = 0.0,
+        scale: Number = 1.0,
+        bias: Number = 0.0,
         enabled: bool = True,
-        anneal_steps: int | None = None,
-        repeat: int = 1,
+        anneal_steps: Count | None = None,
+        repeat: Count = 1,
     ):
         """Wraps a VecEnv; see `upslope.PotentialShaping` for the arguments.
 
@@ -157,7 +157,7 @@ class ShapedReplayBuffer(ReplayBuffer):
     """
 
     def __init__(
-        self, *arguments: Any, potential: Any, gamma: float, repeat: int = 1, n_steps: int = 1, **settings: Any
+        self, *arguments: Any, potential: Any, gamma: Number, repeat: Count = 1, n_steps: int = 1, **settings: Any
     ):
         """Takes what the buffer of Stable-Baselines3 takes, and Φ with the learner's γ.
 

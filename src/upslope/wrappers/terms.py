@@ -4,7 +4,13 @@ import math
 from numbers import Integral, Real
 from typing import Any
 
+import numpy as np
+
 from upslope.errors import UpslopeError
+
+#: Numbers as they come from Python and numpy.
+Number = float | int | np.floating | np.integer
+Count = int | np.integer
 
 # Discounts this close are the same one: float32 keeps about seven digits.
 _SAME = 1e-6
@@ -21,7 +27,13 @@ class Terms:
     """
 
     def __init__(
-        self, potential: Any, gamma: Any, scale: Any = 1.0, bias: Any = 0.0, anneal_steps: Any = None, repeat: Any = 1
+        self,
+        potential: Any,
+        gamma: Number | Any,
+        scale: Number | Any = 1.0,
+        bias: Number | Any = 0.0,
+        anneal_steps: Count | Any = None,
+        repeat: Count | Any = 1,
     ):
         """Takes the settings, and Φ for the γ that it was learned with.
 

@@ -13,7 +13,7 @@ from upslope.envs.workers import DeadWorkerError, alive, end_workers
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator, recordable
 from upslope.wrappers.levels import Levels
-from upslope.wrappers.terms import Terms
+from upslope.wrappers.terms import Count, Number, Terms
 
 
 class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
@@ -31,13 +31,13 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         self,
         env: gym.vector.VectorEnv | Any,
         potential: Any,
-        gamma: float,
+        gamma: Number,
         *,
-        scale: float = 1.0,
-        bias: float = 0.0,
+        scale: Number = 1.0,
+        bias: Number = 0.0,
         enabled: bool = True,
-        anneal_steps: int | None = None,
-        repeat: int = 1,
+        anneal_steps: Count | None = None,
+        repeat: Count = 1,
     ):
         """Wraps a vector environment; see the single wrapper for the arguments.
 
@@ -152,6 +152,9 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         infos: dict[str, Any],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """The levels that count as those of the successors, and those of what is shown, some of it newly reset."""
+        if not done.any():
+            shown = self._levels.of(obs, ~done)
+            return shown, shown
         finals = infos.get("final_obs")
         ended = np.flatnonzero(done & self._levels.active)
         if ended.size and (finals is None or any(finals[i] is None for i in ended)):
