@@ -4,7 +4,7 @@ import gymnasium as gym
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from gymnasium.spaces import Box, Dict, Discrete
+from gymnasium.spaces import Box, Dict, Discrete, Text, Tuple
 
 from upslope import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
@@ -80,6 +80,60 @@ def test_dict_observations(batched):
     expected = OBS[:, 1] + np.arange(4) % 3
     np.testing.assert_allclose(Evaluator(potential, space).many(batch, 4), expected, rtol=1e-6)
     np.testing.assert_allclose(Evaluator(potential, space).several(singles), expected, rtol=1e-6)
+
+
+class TestPartOfABatch:
+    def test_zero_where_nothing_is_asked_and_no_failure_there(self):
+        asked = np.array([False, True, False, True])
+        masked = np.where(asked[:, None], OBS, np.float32(np.nan))
+        for potential in (POTENTIALS["numpy, one"], POTENTIALS["numpy, a batch"], POTENTIALS["jax, a batch"]):
+            values = Evaluator(potential, BOX).where(masked, asked)
+            np.testing.assert_allclose(values, np.where(asked, EXPECTED, 0.0), rtol=1e-6)
+
+    def test_batches_keep_their_size_so_that_nothing_is_compiled_anew(self):
+        sizes = []
+
+        def potential(obs):
+            sizes.append(obs.shape[0])
+            return -np.abs(obs[:, 2])
+
+        evaluator = Evaluator(potential, BOX)
+        evaluator.many(OBS, 4)
+        sizes.clear()
+        for count in range(5):
+            evaluator.where(OBS, np.arange(4) < count)
+        assert sizes == [4, 4, 4, 4], "and none is asked where nothing is asked for"
+
+    def test_parts(self):
+        space = Dict({"a": BOX, "b": Discrete(3)})
+        batch = {"a": OBS, "b": np.arange(4) % 3}
+        asked = np.array([False, False, True, True])
+        values = Evaluator(lambda obs: obs["a"][:, 1] + obs["b"], space).where(batch, asked)
+        np.testing.assert_allclose(values, np.where(asked, OBS[:, 1] + np.arange(4) % 3, 0.0), rtol=1e-6)
+
+
+class TestShapes:
+    @pytest.mark.parametrize(
+        ("space", "obs", "words"),
+        [
+            (BOX, OBS[0, :3], r"an observation of shape \(3,\), but its observation space says \(4,\)"),
+            (Discrete(3), np.array([1]), r"of shape \(1,\), but its observation space says \(\)"),
+            (Dict({"a": Dict({"b": BOX})}), {"a": {"b": OBS[0, :1]}}, r"observation\['a'\]\['b'\] of shape \(1,\)"),
+            (Tuple((BOX, Discrete(2))), (OBS[0], np.zeros(2)), r"observation\[1\] of shape \(2,\)"),
+            (Tuple((BOX, Discrete(2))), (OBS[0],), "without the part 1"),
+        ],
+    )
+    def test_another_than_the_space_says(self, space, obs, words):
+        with pytest.raises(UpslopeError, match=words):
+            Evaluator(lambda obs: 1.0, space).one(obs)
+
+    def test_of_a_batch(self):
+        space = Dict({"a": BOX})
+        with pytest.raises(UpslopeError, match=r"observation\['a'\] of shape \(4, 3\), .* says \(4, 4\)"):
+            Evaluator(lambda obs: 1.0, space).many({"a": OBS[:, :3]}, 4)
+
+    def test_what_has_no_shape_is_left_alone(self):
+        assert Evaluator(lambda text: float(len(text)), Text(5)).one("abc") == 3.0
 
 
 class TestBadPotentials:

@@ -24,21 +24,22 @@ class Levels:
 
     def of(self, obs: Any, asked: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """The levels of a batch of observations, zero where they are not asked for or the episode is not shaped."""
-        return self._weighted(asked, lambda counted: self._evaluator.where(obs, counted))
+        weight, counted = self._counted(asked)
+        return self._levels(weight, self._evaluator.where(obs, counted), counted)
 
     def of_last(self, observations: Any, asked: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """The same for the last observations of episodes, which come one by one; there are none of the others."""
+        weight, counted = self._counted(asked)
+        values = np.zeros(len(asked))
+        values[counted] = self._evaluator.several([observations[i] for i in np.flatnonzero(counted)])
+        return self._levels(weight, values, counted)
 
-        def values(counted: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-            found = np.zeros(len(counted))
-            found[counted] = self._evaluator.several([observations[i] for i in np.flatnonzero(counted)])
-            return found
-
-        return self._weighted(asked, values)
-
-    def _weighted(self, asked: Bool[np.ndarray, "n"], values: Any) -> Float[np.ndarray, "n"]:
+    def _counted(self, asked: Bool[np.ndarray, "n"]) -> tuple[float, Bool[np.ndarray, "n"]]:
+        """The weight in force, and where anything counts."""
         weight = self._terms.weight(self.steps)
-        counted = asked & self.active
-        if not weight or not counted.any():
-            return np.zeros(len(asked))
-        return np.where(counted, weight * (self._terms.bias + self._terms.scale * values(counted)), 0.0)
+        return weight, asked & self.active if weight else np.zeros_like(asked)
+
+    def _levels(
+        self, weight: float, values: Float[np.ndarray, "n"], counted: Bool[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "n"]:
+        return weight * counted * (self._terms.bias + self._terms.scale * values)
