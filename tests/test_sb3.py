@@ -1,5 +1,6 @@
 """Stable-Baselines3 as a client: its VecEnvs, its replay buffer, its checks, and short runs of its learners."""
 
+import os
 import warnings
 
 import gymnasium as gym
@@ -29,6 +30,17 @@ def venv(*scripts):
 
 def phi(obs):
     return 3.0 * np.sin(float(obs[0])) + float(obs[1])
+
+
+class Dying(Walk):
+    def step(self, action):
+        os._exit(1)
+
+
+class Growing(Walk):
+    def step(self, action):
+        obs, *rest = super().step(action)
+        return (np.append(obs, np.float32(0.0)), *rest)
 
 
 class TestWrapper:
@@ -80,6 +92,30 @@ class TestWrapper:
         env.reset()
         env.step(np.zeros(1, int))
         assert env.step(np.zeros(1, int))[3][0]["episode"]["r"] == pytest.approx(RAW[0] + RAW[1])
+
+    def test_it_tells_its_discount(self):
+        assert PotentialShaping(venv(), level, np.float32(0.5)).gamma == 0.5
+
+    def test_the_potential_may_be_undefined_at_terminal_states(self):
+        env = PotentialShaping(venv(), lambda obs: np.nan if obs[0] in (3.0, 6.0) else obs[0], GAMMA)
+        env.reset()
+        added = [[info["shaping_reward"] for info in env.step(np.zeros(2, int))[3]] for _ in range(4)]
+        np.testing.assert_allclose(added, [[F[0], F[2]], [F[1], F[3]], [F[2], F[0]], [F[3], F[1]]], rtol=1e-6)
+
+    def test_a_worker_that_dies(self):
+        env = PotentialShaping(SubprocVecEnv([Dying, Walk], start_method="spawn"), level, GAMMA)
+        env.reset()
+        for _ in range(2):  # and again, when it is known
+            with pytest.raises(UpslopeError, match="worker process of the vector environment died"):
+                env.step(np.zeros(2, int))
+        assert not any(process.is_alive() for process in env.unwrapped.processes), "no process is left behind"
+        env.close()
+
+    def test_a_shape_that_changes(self):
+        env = PotentialShaping(DummyVecEnv([Growing]), level, GAMMA)
+        env.reset()
+        with pytest.raises(UpslopeError, match="another shape than its observation space says"):
+            env.step(np.zeros(1, int))
 
     def test_bad_input(self, prior):
         with pytest.raises(UpslopeError, match="no VecEnv"):
@@ -147,6 +183,50 @@ class TestReplay:
         raw = buffer.rewards[:150, 0]
         np.testing.assert_allclose(second - raw, 2 * (first - raw), rtol=1e-4, atol=1e-4)
         assert np.abs(first - raw).max() > 1
+
+    def test_the_potential_may_be_undefined_at_terminal_states(self):
+        buffer = self.filled()
+        expected = buffer._get_samples(np.arange(150))
+        ends = {tuple(obs) for obs, end in zip(expected.next_observations, expected.dones, strict=True) if end}
+        ends = {tuple(float(part) for part in obs) for obs in ends}
+        assert len(ends) > 5
+        buffer.potential = lambda obs: np.nan if tuple(obs.tolist()) in ends else phi(obs)
+        np.testing.assert_array_equal(buffer._get_samples(np.arange(150)).rewards, expected.rewards)
+
+    def test_discrete_observations(self):
+        table, space = np.array([1.0, 5.0, 2.0]), gym.spaces.Discrete(3)
+        buffer = ShapedReplayBuffer(4, space, space, device="cpu", potential=lambda obs: table[obs], gamma=GAMMA)
+        buffer.add(np.array([0]), np.array([1]), np.array([0]), np.array([7.0]), np.array([False]), [{}])
+        assert buffer.sample(1).rewards.item() == pytest.approx(7 + GAMMA * 5 - 1)
+
+    def test_every_batch_brings_the_discount_of_f(self):
+        batch = self.filled(gamma=0.5)._get_samples(np.arange(150))
+        assert batch.discounts.shape == batch.rewards.shape
+        assert np.all(batch.discounts.numpy() == 0.5)
+
+    def test_a_learner_bootstraps_with_the_discount_of_f(self):
+        def learned(own, buffer_s):
+            model = sb3.DQN(
+                "MlpPolicy", Walk(), gamma=own, learning_starts=20, replay_buffer_class=ShapedReplayBuffer,
+                replay_buffer_kwargs={"potential": phi, "gamma": buffer_s}, policy_kwargs={"net_arch": [8]},
+                device="cpu", seed=0,
+            )  # fmt: skip
+            model.learn(60)
+            return model.q_net.q_net[0].weight.detach().numpy()
+
+        np.testing.assert_array_equal(learned(0.99, 0.5), learned(0.5, 0.5))
+        assert np.any(learned(0.9, 0.9) != learned(0.5, 0.5))
+
+    def test_returns_of_many_steps_are_refused(self):
+        with pytest.raises(UpslopeError, match="n_steps is 3, but ShapedReplayBuffer gives returns of one step"):
+            self.buffer(n_steps=3)
+
+    def test_repeated_actions(self, prior):
+        space = gym.make("CartPole-v1").observation_space
+        settings = {"device": "cpu", "potential": prior, "gamma": 0.98**4}
+        assert ShapedReplayBuffer(9, space, Walk.action_space, repeat=4, **settings).potential.gamma == 0.98
+        with pytest.raises(UpslopeError, match="set repeat"):
+            ShapedReplayBuffer(9, space, Walk.action_space, **settings)
 
     def test_bad_input(self, prior):
         with pytest.raises(UpslopeError, match="gamma is"):
