@@ -2,12 +2,13 @@
 
 import copy
 import pickle
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.wrappers import Autoreset, RecordEpisodeStatistics, TimeLimit
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from support.scripted import EPISODES, GAMMA, RAW, F, Scripted, Step, Walk, level
@@ -157,9 +158,26 @@ class TestSpecs:
         assert rewards[0] == rewards[1]
         assert len(set(rewards[0])) == 8
 
-    def test_a_path_makes_a_spec_of_plain_json(self, prior, tmp_path):
+    def test_a_prior_round_trips_through_make(self, prior):
+        first = self.make(prior, bias=2.0)
+        second = gym.make(pickle.loads(pickle.dumps(first.spec)))
+        assert second.spec == first.spec
+        rewards = []
+        for env in (first, second):
+            env.reset(seed=4)
+            rewards.append([env.step(t % 2)[1] for t in range(8)])
+        assert rewards[0] == rewards[1]
+        assert len(set(rewards[0])) == 8
+
+    def test_a_spec_keeps_every_setting(self):
+        settings = {"scale": 0.5, "bias": 3.0, "enabled": False, "anneal_steps": 7, "repeat": 2}
+        kept = self.make(level, **settings).spec.additional_wrappers[-1].kwargs
+        assert kept == settings | {"potential": level, "gamma": 0.98}
+
+    @pytest.mark.parametrize("kind", [str, Path])
+    def test_a_path_makes_a_spec_of_plain_json(self, prior, tmp_path, kind):
         prior.save(tmp_path / "prior.safetensors")
-        first = self.make(str(tmp_path / "prior.safetensors"), anneal_steps=100)
+        first = self.make(kind(tmp_path / "prior.safetensors"), anneal_steps=100)
         spec = gym.envs.registration.EnvSpec.from_json(first.spec.to_json())
         second = gym.make(spec)
         for env in (first, second):
@@ -220,10 +238,9 @@ class TestBadInput:
             env.step(0)
 
 
-@given(
-    st.integers(0, 2**31 - 1), st.sampled_from([0.5, 0.9, 1.0]), st.lists(st.integers(0, 1), min_size=60, max_size=60)
-)
-def test_random_walks_against_a_plain_recomputation(seed, gamma, actions):
+def walk(seed, gamma, actions):
+    """Plays a random walk, and recomputes F of every step from the observations alone."""
+
     def potential(obs):
         return 3.0 * np.sin(float(obs[0])) + float(obs[1])
 
@@ -235,3 +252,19 @@ def test_random_walks_against_a_plain_recomputation(seed, gamma, actions):
         assert info["shaping_reward"] == pytest.approx(expected, abs=1e-12)
         assert reward == pytest.approx(info["raw_reward"] + expected, abs=1e-12)
         obs = env.reset()[0] if terminated or truncated else following
+
+
+SEEDS, GAMMAS = st.integers(0, 2**31 - 1), st.sampled_from([0.5, 0.9, 1.0])
+ACTIONS = st.lists(st.integers(0, 1), min_size=60, max_size=60)
+
+
+@given(SEEDS, GAMMAS, ACTIONS)
+def test_random_walks_against_a_plain_recomputation(seed, gamma, actions):
+    walk(seed, gamma, actions)
+
+
+@pytest.mark.slow
+@settings(max_examples=2000)
+@given(SEEDS, GAMMAS, ACTIONS)
+def test_thousands_of_random_walks_against_a_plain_recomputation(seed, gamma, actions):
+    walk(seed, gamma, actions)
