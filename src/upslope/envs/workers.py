@@ -44,9 +44,29 @@ def alive(call: Callable[..., Result], *inputs: Any) -> Result:
         ) from error
 
 
-def end_workers(env: Any) -> None:
-    """Kills the processes of a vector environment that lost one: closing it would wait for the lost one's answer."""
-    env = env.unwrapped
+def call_or_end(env: Any, call: Callable[[], Result]) -> Result:
+    """Calls a vector environment; once it has lost a worker it can't go on, nor be closed: the others are ended.
+
+    Raises:
+        UpslopeError: see `alive`.
+    """
+    try:
+        return alive(call)
+    except DeadWorkerError:
+        _end_workers(env.unwrapped)
+        raise
+
+
+def close_or_end(env: Any, close: Callable[[], Any]) -> None:
+    """Closes a vector environment, or ends what a dead worker has left of it."""
+    try:
+        call_or_end(env, close)
+    except DeadWorkerError:
+        return
+
+
+def _end_workers(env: Any) -> None:
+    """Kills them: asked to close, they would be waited for, and the dead one never answers."""
     for worker in getattr(env, "processes", ()):
         worker.kill()
         worker.join()

@@ -3,12 +3,11 @@
 Needs the extra ``upslope[sb3]``; nothing else here imports it.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from upslope.envs.workers import DeadWorkerError, alive, end_workers
+from upslope.envs.workers import call_or_end, close_or_end
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
 from upslope.wrappers.levels import Levels
@@ -84,13 +83,13 @@ class PotentialShaping(VecEnvWrapper):
         return self._terms.invariance
 
     def reset(self) -> Any:
-        obs = self._alive(self.venv.reset)
+        obs = call_or_end(self.venv, self.venv.reset)
         self._levels.active = np.full(self.num_envs, self.enabled)
         self._potentials = self._levels.of(obs, np.ones(self.num_envs, bool))
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
-        self._alive(lambda: self.venv.step_async(actions))
+        call_or_end(self.venv, lambda: self.venv.step_async(actions))
 
     def step_wait(self) -> Any:
         """One step of each, the rewards shaped.
@@ -101,7 +100,7 @@ class PotentialShaping(VecEnvWrapper):
         """
         if self._potentials is None:
             raise UpslopeError("step was called before reset: reset the VecEnv first.")
-        obs, rewards, dones, infos = self._alive(self.venv.step_wait)
+        obs, rewards, dones, infos = call_or_end(self.venv, self.venv.step_wait)
         self._levels.steps += 1
         last = self._levels_of_last(dones, infos)
         self._levels.active = np.where(dones, self.enabled, self._levels.active)
@@ -114,18 +113,7 @@ class PotentialShaping(VecEnvWrapper):
 
     def close(self) -> None:
         """Closes the environments; where a worker has died, it ends the others."""
-        try:
-            self._alive(self.venv.close)
-        except DeadWorkerError:
-            return  # nothing is left to close
-
-    def _alive(self, call: Callable[[], Any]) -> Any:
-        """Calls the VecEnv. One that has lost a worker can't go on, nor be closed: its workers end."""
-        try:
-            return alive(call)
-        except DeadWorkerError:
-            end_workers(self.venv)
-            raise
+        close_or_end(self.venv, self.venv.close)
 
     def _levels_of_last(self, dones: np.ndarray, infos: Any) -> np.ndarray:
         """The levels of the last observations where episodes were truncated; zero where they terminated."""
@@ -166,7 +154,7 @@ class ShapedReplayBuffer(ReplayBuffer):
             potential: Φ, as for `PotentialShaping`.
             gamma: γ of one step.
             repeat: how often a step repeats its action.
-            n_steps: 1: returns of more steps are not to be had with a potential that moves.
+            n_steps: only 1.
             settings: as for the buffer of Stable-Baselines3.
 
         Raises:

@@ -1,6 +1,5 @@
 """The vector twin of `upslope.wrappers.PotentialShaping`, under all three autoreset modes."""
 
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -9,7 +8,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode
 from jaxtyping import Bool, Float
 
-from upslope.envs.workers import DeadWorkerError, alive, end_workers
+from upslope.envs.workers import call_or_end, close_or_end
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator, recordable
 from upslope.wrappers.levels import Levels
@@ -92,7 +91,7 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         """Resets all sub-environments, or those of ``options["reset_mask"]``."""
         # The mask is copied: Gymnasium takes it out of the options.
         fresh = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
-        obs, infos = self._alive(lambda: self.env.reset(seed=seed, options=options))
+        obs, infos = call_or_end(self.env, lambda: self.env.reset(seed=seed, options=options))
         self._begin(fresh)
         previous = np.zeros(self.num_envs) if self._potentials is None else self._potentials
         self._potentials = np.where(fresh, self._levels.of(obs, fresh), previous)
@@ -110,7 +109,7 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         """
         if self._potentials is None:
             raise UpslopeError("step was called before reset: reset the vector environment first.")
-        obs, rewards, terminated, truncated, infos = self._alive(lambda: self.env.step(actions))
+        obs, rewards, terminated, truncated, infos = call_or_end(self.env, lambda: self.env.step(actions))
         rewards = np.asarray(rewards, np.float64)
         done = np.logical_or(terminated, truncated)
         starting = self._resetting if self._mode is AutoresetMode.NEXT_STEP else np.zeros_like(done)
@@ -127,18 +126,7 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
 
     def close(self, **settings: Any) -> None:
         """Closes the environments; where a worker has died, it ends the others."""
-        try:
-            self._alive(lambda: self.env.close(**settings))
-        except DeadWorkerError:
-            return  # nothing is left to close
-
-    def _alive(self, call: Callable[[], Any]) -> Any:
-        """Calls the vector environment. One that has lost a worker can't go on, nor be closed: its workers end."""
-        try:
-            return alive(call)
-        except DeadWorkerError:
-            end_workers(self.env)
-            raise
+        close_or_end(self.env, lambda: self.env.close(**settings))
 
     def _begin(self, fresh: Bool[np.ndarray, "n"]) -> None:
         """New episodes in some of the sub-environments: the switch takes effect there."""
