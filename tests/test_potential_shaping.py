@@ -1,8 +1,7 @@
-"""The single wrapper: every end of an episode, what info tells, the switch, annealing, specs, and bad input."""
+"""The single wrapper: every end of an episode, what info tells, the switch, annealing, copies, and bad input."""
 
 import copy
 import pickle
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -142,48 +141,7 @@ class TestScaleBiasSwitchAnnealing:
         assert "not policy-invariant" in shaped(anneal_steps=5).invariance
 
 
-class TestSpecs:
-    def make(self, potential, **settings):
-        return PotentialShaping(gym.make("CartPole-v1"), potential, 0.98, **settings)
-
-    def test_round_trip_through_make(self, prior):
-        first = self.make(prior.to_numpy(), scale=0.5, bias=3.0)
-        second = gym.make(first.spec)
-        assert isinstance(second, PotentialShaping)
-        assert second.spec == first.spec
-        rewards = []
-        for env in (first, second):
-            env.reset(seed=4)
-            rewards.append([env.step(t % 2)[1] for t in range(8)])
-        assert rewards[0] == rewards[1]
-        assert len(set(rewards[0])) == 8
-
-    def test_a_prior_round_trips_through_make(self, prior):
-        first = self.make(prior, bias=2.0)
-        second = gym.make(pickle.loads(pickle.dumps(first.spec)))
-        assert second.spec == first.spec
-        rewards = []
-        for env in (first, second):
-            env.reset(seed=4)
-            rewards.append([env.step(t % 2)[1] for t in range(8)])
-        assert rewards[0] == rewards[1]
-        assert len(set(rewards[0])) == 8
-
-    def test_a_spec_keeps_every_setting(self):
-        settings = {"scale": 0.5, "bias": 3.0, "enabled": False, "anneal_steps": 7, "repeat": 2}
-        kept = self.make(level, **settings).spec.additional_wrappers[-1].kwargs
-        assert kept == settings | {"potential": level, "gamma": 0.98}
-
-    @pytest.mark.parametrize("kind", [str, Path])
-    def test_a_path_makes_a_spec_of_plain_json(self, prior, tmp_path, kind):
-        prior.save(tmp_path / "prior.safetensors")
-        first = self.make(kind(tmp_path / "prior.safetensors"), anneal_steps=100)
-        spec = gym.envs.registration.EnvSpec.from_json(first.spec.to_json())
-        second = gym.make(spec)
-        for env in (first, second):
-            env.reset(seed=4)
-        assert first.step(1)[1] == second.step(1)[1] != 1.0
-
+class TestCopies:
     def test_copies_go_on_from_the_same_place(self):
         env = shaped()
         env.step(0)
