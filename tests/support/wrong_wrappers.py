@@ -2,7 +2,6 @@
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode
 
 GAMMA = 0.9
 
@@ -153,66 +152,49 @@ class SomethingElse(Right):
         return self.last
 
 
-class NotANumber(Right):
-    """Its Φ breaks after a while; the checker is given the same Φ."""
+class SuccessorOnly(Right):
+    """γΦ(s') without −Φ(s)."""
+
+    def bent(self, added):
+        return added + self.last
+
+
+class ActionBonus(Right):
+    """F, and a bonus for an action beside it."""
+
+    def step(self, action):
+        obs, reward, *rest = super().step(action)
+        return obs, reward + 0.05 * action, *rest
+
+
+class LunarLanderStyle(TerminalPotential):
+    """Neither γ nor an end counts: two mistakes at once."""
+
+    gamma = 1.0
+
+
+#: What the checker must call each.
+WRONG = {
+    NeverApplied: "never_applied",
+    TerminalPotential: "nonzero_terminal_potential",
+    TerminalPotentialWhereBoth: "nonzero_terminal_potential",
+    ZeroedAtTruncation: "zeroed_at_truncation",
+    AnotherGamma: "gamma_mismatch",
+    NoGamma: "gamma_mismatch",
+    ClippedF: "clipped",
+    ClippedReward: "clipped",
+    RunningNormalised: "normalised",
+    Centred: "normalised",
+    TwoVersions: "stale_mixture",
+    Growing: "stale_mixture",
+    NotRearmed: "not_rearmed_at_reset",
+    FirstStepUnpaid: "not_rearmed_at_reset",
+    EndNotPaid: "end_not_paid",
+    SuccessorOnly: "not_potential_based",
+    ActionBonus: "not_potential_based",
+    SomethingElse: "not_potential_based",
+}
 
 
 def breaking_phi(obs):
     return float("nan") if obs[0] > 4.0 else phi(obs)
-
-
-class VectorRight(gym.vector.VectorWrapper):
-    """The twin, right in all three modes."""
-
-    def __init__(self, env):
-        super().__init__(env)
-        self.mode = env.metadata["autoreset_mode"]
-
-    def reset(self, *, seed=None, options=None):
-        mask = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
-        obs, infos = self.env.reset(seed=seed, options=options)
-        new = np.array([phi(one) for one in obs])
-        self.last = np.where(mask, new, getattr(self, "last", new))
-        self.ended = getattr(self, "ended", np.zeros(self.num_envs, bool)) & ~mask
-        return obs, infos
-
-    def step(self, actions):
-        obs, rewards, terminated, truncated, infos = self.env.step(actions)
-        done = terminated | truncated
-        ahead = np.array([phi(one) for one in self.successors(obs, done, infos)])
-        added = GAMMA * ahead * ~terminated - self.last
-        added = self.at_dummies(added)
-        self.last = np.array([phi(one) for one in obs])
-        self.ended = done & (self.mode is AutoresetMode.NEXT_STEP)
-        return obs, rewards + added, terminated, truncated, infos
-
-    def successors(self, obs, done, infos):
-        if self.mode is AutoresetMode.SAME_STEP and done.any():
-            return [infos["final_obs"][i] if done[i] else obs[i] for i in range(self.num_envs)]
-        return obs
-
-    def at_dummies(self, added):
-        return np.where(self.ended, 0.0, added)
-
-
-class VectorResetObservation(VectorRight):
-    """Same-step: the observation returned is taken for the successor."""
-
-    def successors(self, obs, done, infos):
-        return obs
-
-
-class VectorDummyPaid(VectorRight):
-    """Next-step: the reset is paid like a transition."""
-
-    def at_dummies(self, added):
-        return added
-
-
-class Hides(gym.vector.VectorWrapper):
-    """Takes the final observation out of the infos, after shaping rightly."""
-
-    def step(self, actions):
-        *rest, infos = self.env.step(actions)
-        infos.pop("final_obs", None)
-        return (*rest, infos)

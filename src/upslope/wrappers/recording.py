@@ -30,6 +30,7 @@ class Seen(NamedTuple):
         first: of its episode.
         last_before: the last observation of the episode before, if any.
         step: when, in steps of the layer.
+        age: when, in transitions of this environment: steps that reset are not counted.
     """
 
     obs: Any
@@ -43,6 +44,7 @@ class Seen(NamedTuple):
     first: bool
     last_before: Any
     step: int
+    age: int
 
 
 class Recording(NamedTuple):
@@ -51,10 +53,9 @@ class Recording(NamedTuple):
     layers: list[Layer]
     trouble: Exception | None
 
-    @property
-    def last_observations(self) -> list[Any]:
-        """What the innermost layer returned last."""
-        layer = self.layers[0]
+    def last_observations(self, index: int) -> list[Any]:
+        """What the layer of this number returned last."""
+        layer = self.layers[index]
         if not layer.calls:
             return []
         obs = layer.calls[-1][1]
@@ -75,17 +76,28 @@ def record(env: Any, steps: int, seed: int) -> Recording:
         UpslopeError: no Gymnasium environment.
     """
     if not isinstance(env, gym.Env | gym.vector.VectorEnv):
-        raise UpslopeError(
-            f"{type(env).__name__} is no Gymnasium environment: give a gymnasium.Env or a gymnasium.vector.VectorEnv."
-        )
+        raise _no_environment(env)
     layers = [Layer(layer) for layer in _chain(env)]
     trouble = None
-    with watched(layers, seed):
+    with watched(layers, seed, steps):
         try:
             _play(env, steps, seed)
         except Exception as error:
             trouble = error
     return Recording(layers, trouble)
+
+
+def _no_environment(env: Any) -> UpslopeError:
+    # Told by name: Stable-Baselines3 need not be installed.
+    kinds = {(kind.__module__.split(".")[0], kind.__name__) for kind in type(env).__mro__}
+    if ("stable_baselines3", "VecEnv") in kinds:
+        return UpslopeError(
+            f"{type(env).__name__} is a vector environment of Stable-Baselines3, which is not judged: check one "
+            "environment of it instead, shaped by upslope.PotentialShaping or by a wrapper of your own."
+        )
+    return UpslopeError(
+        f"{type(env).__name__} is no Gymnasium environment: give a gymnasium.Env or a gymnasium.vector.VectorEnv."
+    )
 
 
 def _chain(env: Any) -> list[Any]:
@@ -111,17 +123,17 @@ def _play(env: Any, steps: int, seed: int) -> None:
 
 def _of_single(layer: Layer) -> Iterator[Seen]:
     current, first, before, resetting = None, True, None, False
-    step = 0
+    step = age = 0
     for call in layer.calls:
         obs = call[1]
         if call[0] == "reset":
             before, current, first, resetting = (current if not first else before), obs, True, False
             continue
         _, _, reward, given, terminated, truncated, _ = call
-        step += 1
+        step, age = step + 1, age + (not resetting)
         yield Seen(
             current, obs, obs, float(reward), float(given), bool(terminated), bool(truncated), resetting, first,
-            before, step,
+            before, step, age,
         )  # fmt: skip
         if resetting:
             before = current
@@ -133,7 +145,7 @@ def _of_vector(layer: Layer) -> Iterator[Seen]:
     mode = AutoresetMode(layer.env.metadata["autoreset_mode"])
     for i in range(layer.env.num_envs):
         current, first, before, resetting = None, True, None, False
-        step = 0
+        step = age = 0
         for call in layer.calls:
             obs = _one(call[1], i)
             if call[0] == "reset":
@@ -141,15 +153,17 @@ def _of_vector(layer: Layer) -> Iterator[Seen]:
                     before, current, first, resetting = (current if not first else before), obs, True, False
                 continue
             _, _, reward, given, terminated, truncated, finals = call
-            step += 1
+            step, age = step + 1, age + (not resetting)
             done = bool(terminated[i] or truncated[i])
             same = mode is AutoresetMode.SAME_STEP and done
             hidden = same and (finals is None or finals[i] is None)
             successor = None if hidden else finals[i] if same else obs
             below = float(np.broadcast_to(given, np.shape(reward))[i])
+            if resetting and np.isnan(below):  # a reset has no raw reward to tell
+                below = float(reward[i])
             yield Seen(
                 current, successor, obs, float(reward[i]), below, bool(terminated[i]), bool(truncated[i]), resetting,
-                first, before, step,
+                first, before, step, age,
             )  # fmt: skip
             if resetting:
                 before = current

@@ -9,8 +9,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-#: Episodes are left alone, truncated, terminated, and both at once, in turn.
-_FORCED = ((False, False), (False, True), (True, False), (True, True))
+from upslope.wrappers.observation_shapes import mismatch
+
+#: Episodes are truncated, terminated, both at once, and left alone (but truncated in the end), in turn.
+_FORCED = ((False, True), (True, False), (True, True), (False, True))
 
 
 @dataclass
@@ -20,12 +22,14 @@ class Layer:
     Attributes:
         env: the layer.
         calls: what each reset and step of it returned, beside the rewards that it was given.
-        given: the innermost raw rewards of a vector of environments, which are not layers of their own ``[n]``.
+        given: the raw rewards of the environments that it runs in this process ``[n]``.
+        misshapen: the first observation of a sub-environment that does not have the shape it declares: step and words.
     """
 
     env: Any
     calls: list[tuple] = field(default_factory=list)
     given: np.ndarray | None = None
+    misshapen: tuple[int, str] | None = None
 
     @property
     def name(self) -> str:
@@ -33,9 +37,9 @@ class Layer:
 
 
 @contextmanager
-def watched(layers: list[Layer], seed: int) -> Iterator[None]:
+def watched(layers: list[Layer], seed: int, steps: int) -> Iterator[None]:
     """While inside, each layer's ``reset`` and ``step`` leave a record; and innermost environments are made to end."""
-    innermost = layers[0].env
+    innermost, patience = layers[0].env, max(12, steps // 8)
     originals: list[tuple[Any, str, Any]] = []
 
     def patch(target: Any, name: str, function: Callable) -> None:
@@ -46,9 +50,12 @@ def watched(layers: list[Layer], seed: int) -> Iterator[None]:
         if isinstance(innermost, gym.vector.SyncVectorEnv):
             layers[0].given = np.zeros(innermost.num_envs)
             for number, sub in enumerate(innermost.envs):
-                _force_ends(sub.unwrapped, patch, seed + number, layers[0].given[number : number + 1])
+                _force_ends(sub.unwrapped, patch, seed + number, patience, layers[0].given[number : number + 1])
+                for part in {sub.unwrapped: None, sub: None}:
+                    _note_shapes(part, patch, layers[0])
         elif isinstance(innermost, gym.Env):
-            _force_ends(innermost, patch, seed, np.zeros(1))
+            layers[0].given = np.zeros(1)
+            _force_ends(innermost, patch, seed, patience, layers[0].given)
         for below, layer in zip([None, *layers], layers, strict=False):
             patch(layer.env, "reset", _recording_reset(layer, layer.env.reset))
             patch(layer.env, "step", _recording_step(layer, layer.env.step, below))
@@ -61,8 +68,11 @@ def watched(layers: list[Layer], seed: int) -> Iterator[None]:
                 setattr(target, name, original)
 
 
-def _force_ends(base: Any, patch: Callable, seed: int, rewarded: np.ndarray) -> None:
-    """Makes an innermost environment end some episodes early, and note its raw reward in ``rewarded`` ``[1]``."""
+def _force_ends(base: Any, patch: Callable, seed: int, patience: int, rewarded: np.ndarray) -> None:
+    """Makes an innermost environment end some episodes early, and note its raw reward in ``rewarded`` ``[1]``.
+
+    An episode that is left alone is truncated after ``patience`` steps: an endless one would leave no time for others.
+    """
     rng = np.random.default_rng(seed)
     step, reset = base.step, base.reset
     episode, time, limit = -1, 0, 0
@@ -70,14 +80,16 @@ def _force_ends(base: Any, patch: Callable, seed: int, rewarded: np.ndarray) -> 
     @wraps(reset)
     def counting_reset(**arguments: Any) -> Any:
         nonlocal episode, time, limit
-        episode, time, limit = episode + 1, 0, int(rng.integers(2, 12))
+        episode, time = episode + 1, 0
+        is_left_alone = episode % len(_FORCED) == len(_FORCED) - 1
+        limit = patience if is_left_alone else int(rng.integers(1, 12))
         return reset(**arguments)
 
     @wraps(step)
     def ending_step(action: Any) -> Any:
         nonlocal time
         obs, reward, terminated, truncated, info = step(action)
-        rewarded[0] = reward
+        rewarded[0] = info.get("raw_reward", reward)
         time += 1
         if time == limit:
             force = _FORCED[episode % len(_FORCED)]
@@ -86,6 +98,31 @@ def _force_ends(base: Any, patch: Callable, seed: int, rewarded: np.ndarray) -> 
 
     patch(base, "reset", counting_reset)
     patch(base, "step", ending_step)
+
+
+def _note_shapes(sub: gym.Env, patch: Callable, layer: Layer) -> None:
+    """Notes where a sub-environment's observation has a wrong shape: its vector fails on that without a clear word."""
+    reset, step = sub.reset, sub.step
+
+    def note(obs: Any) -> None:
+        words = mismatch(obs, sub.observation_space)
+        if words and layer.misshapen is None:
+            layer.misshapen = (len(layer.calls), words)
+
+    @wraps(reset)
+    def noting_reset(**arguments: Any) -> Any:
+        obs, info = reset(**arguments)
+        note(obs)
+        return obs, info
+
+    @wraps(step)
+    def noting_step(action: Any) -> Any:
+        obs, *rest = step(action)
+        note(obs)
+        return obs, *rest
+
+    patch(sub, "reset", noting_reset)
+    patch(sub, "step", noting_step)
 
 
 def _recording_reset(layer: Layer, reset: Callable) -> Callable:
@@ -107,9 +144,12 @@ def _recording_step(layer: Layer, step: Callable, below: Layer | None) -> Callab
         if layer.given is not None:
             layer.given[:] = 0.0
         obs, reward, terminated, truncated, info = step(action)
-        given = 0.0 if layer.given is None else layer.given.copy()
         if below is not None:  # more than one call where a wrapper repeats actions
             given = sum(call[2] for call in below.calls[mark:] if call[0] == "step")
+        elif layer.given is not None:
+            given = layer.given.reshape(np.shape(reward)).copy()
+        else:
+            given = _told_raw(layer.env, reward, info)
         layer.calls.append(
             ("step", _kept(obs), np.array(reward, np.float64), given, np.array(terminated), np.array(truncated),
              _kept(info.get("final_obs")))
@@ -117,6 +157,17 @@ def _recording_step(layer: Layer, step: Callable, below: Layer | None) -> Callab
         return obs, reward, terminated, truncated, info
 
     return recording_step
+
+
+def _told_raw(env: gym.vector.VectorEnv, rewards: Any, infos: dict[str, Any]) -> np.ndarray:
+    """The raw rewards behind those of a vector environment; NaN where workers do not tell them in their infos."""
+    hides = isinstance(env, gym.vector.AsyncVectorEnv)
+    raw = np.full(env.num_envs, np.nan) if hides else np.array(rewards, np.float64)
+    for source in (infos, infos.get("final_info") or {}):
+        if "raw_reward" in source:
+            there = source.get("_raw_reward", np.ones(env.num_envs, bool))
+            raw[there] = np.asarray(source["raw_reward"], np.float64)[there]
+    return raw
 
 
 def _kept(obs: Any) -> Any:
