@@ -106,6 +106,13 @@ class TwoVersions(Right):
         return phi(obs) if self.steps < 250 else phi(obs) + float(np.sin(5 * obs[0]))
 
 
+class TwoInTurn(Right):
+    """Φ's weight goes to and fro, fifty steps each."""
+
+    def phi(self, obs):
+        return phi(obs) * (1.0 if self.steps % 100 < 50 else 1.3)
+
+
 class Growing(Right):
     """Φ's weight changes with every step."""
 
@@ -167,6 +174,14 @@ class ActionBonus(Right):
         return obs, reward + 0.05 * action, *rest
 
 
+class StateBonus(Right):
+    """F, and a bonus for being somewhere beside it."""
+
+    def step(self, action):
+        obs, reward, *rest = super().step(action)
+        return obs, reward + float(obs[0] > 1), *rest
+
+
 class LunarLanderStyle(TerminalPotential):
     """Neither γ nor an end counts: two mistakes at once."""
 
@@ -186,12 +201,14 @@ WRONG = {
     RunningNormalised: "normalised",
     Centred: "normalised",
     TwoVersions: "stale_mixture",
+    TwoInTurn: "stale_mixture",
     Growing: "stale_mixture",
     NotRearmed: "not_rearmed_at_reset",
     FirstStepUnpaid: "not_rearmed_at_reset",
     EndNotPaid: "end_not_paid",
     SuccessorOnly: "not_potential_based",
     ActionBonus: "not_potential_based",
+    StateBonus: "not_potential_based",
     SomethingElse: "not_potential_based",
 }
 

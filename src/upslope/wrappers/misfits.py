@@ -46,7 +46,7 @@ def explain_misfit(evidence: Evidence, is_ordinary: Any, gamma: float, tolerance
     bounds = _clipped(ordinary, gamma, tolerance) or _clipped(evidence.take(~evidence.dummy), gamma, tolerance)
     if bounds:
         return Finding("clipped", step, f"{words}; {bounds}.")
-    if _comes_in_stretches(wrong) or _drifts(ordinary, gamma, tolerance):
+    if _outlasts_episodes(wrong, ordinary) or _drifts(ordinary, gamma, tolerance):
         share = f"{np.mean(~wrong):.0%} of the steps fit Φ" if np.any(~wrong) else "the weight of Φ changes over time"
         return Finding("stale_mixture", step, f"{words}, although {share}: more than one version of Φ is at work.")
     is_rescaled = np.mean(wrong) > 0.95 and np.std(added) > 0 and np.std(expected) > 0
@@ -63,11 +63,15 @@ def _clipped(part: Evidence, gamma: float, tolerance: float) -> str:
     return next((clipping.words for clipping in found if np.all(clipping.where == wrong)), "")
 
 
-def _comes_in_stretches(wrong: Bool[np.ndarray, "n"], window: int = 10) -> bool:
-    """Whether most stretches of the run fit Φ throughout or not at all, and there are some of either kind."""
-    shares = np.array([np.mean(wrong[start : start + window]) for start in range(0, len(wrong) - window + 1, window)])
-    fitting, misfitting = shares == 0, shares >= 0.9
-    return bool(np.any(fitting) and np.any(misfitting) and np.mean(fitting | misfitting) > 0.6)
+def _outlasts_episodes(wrong: Bool[np.ndarray, "n"], ordinary: Evidence) -> bool:
+    """Whether being right or wrong carries over from episode to episode, as it does where Φ moves on.
+
+    A bonus for states or actions begins anew with each episode: it changes there as often as chance has it.
+    """
+    across = np.diff(ordinary.age) > 1
+    share = np.mean(wrong)
+    changes, by_chance = np.sum((wrong[1:] != wrong[:-1])[across]), np.sum(across) * 2 * share * (1 - share)
+    return bool(by_chance >= 5 and changes < 0.5 * by_chance)
 
 
 def _drifts(ordinary: Evidence, gamma: float, tolerance: float) -> bool:
