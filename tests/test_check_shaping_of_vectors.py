@@ -31,7 +31,7 @@ def names(report):
 
 def caught_inside(wrong, mode, seed):
     env = SyncVectorEnv([lambda: wrong(Walk())] * 2, autoreset_mode=mode)
-    assert names(check_shaping(env, phi, GAMMA, steps=400, seed=seed)) == [WRONG[wrong]]
+    assert names(check_shaping(env, phi, GAMMA, steps=280, seed=seed)) == [WRONG[wrong]]
 
 
 def caught_around(wrong, mode, seed):

@@ -16,7 +16,7 @@ from upslope.wrappers.checking import check_shaping
 
 @dataclass(frozen=True)
 class Check:
-    """Check that an environment's reward shaping is potential-based; exit code 1 if it is not."""
+    """Check that an environment's reward shaping is potential-based; exit code 1 if not, or if too little was seen."""
 
     factory: Positional[str]
     """MODULE:FACTORY, a function without arguments that returns the shaped environment."""

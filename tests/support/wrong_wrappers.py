@@ -100,10 +100,10 @@ class Centred(Right):
 
 
 class TwoVersions(Right):
-    """Φ moves on after 250 steps, but is checked against its first version."""
+    """Φ moves on after 150 steps, but is checked against its first version."""
 
     def phi(self, obs):
-        return phi(obs) if self.steps < 250 else phi(obs) + float(np.sin(5 * obs[0]))
+        return phi(obs) if self.steps < 150 else phi(obs) + float(np.sin(5 * obs[0]))
 
 
 class TwoInTurn(Right):
