@@ -158,7 +158,7 @@ class TestObservationsThatChangeShape:
     def test_have_a_finding_of_their_own(self, env):
         report = check_shaping(env(), phi, GAMMA, steps=100)
         assert names(report) == ["wrong_observation_shape"]
-        assert "has shape (3,), but its space says (2,)" in report.findings[0].evidence
+        assert "of shape (3,), but its observation space says (2,)" in report.findings[0].evidence
         assert report.findings[0].step in (5, 6, 7)
         assert not report.ok
 

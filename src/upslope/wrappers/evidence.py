@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
-from upslope.wrappers.observation_shapes import mismatch
+from upslope.wrappers.observations import misfit
 from upslope.wrappers.recording import Seen
 
 
@@ -91,7 +91,7 @@ def phi_of(evaluator: Evaluator, space: Any, obs: Any, step: int) -> float:
     Raises:
         UnusableError: the observation has a wrong shape, or Φ fails.
     """
-    words = mismatch(obs, space)
+    words = misfit(space, obs)
     if words:
         raise UnusableError("wrong_observation_shape", step, words)
     try:

@@ -34,6 +34,15 @@ def check_shape(space: gym.Space, obs: Any, leading: tuple[int, ...] = (), name:
         )
 
 
+def misfit(space: gym.Space, obs: Any) -> str:
+    """What `check_shape` says of an observation; empty if it fits."""
+    try:
+        check_shape(space, obs)
+    except UpslopeError as error:
+        return str(error)
+    return ""
+
+
 def join(space: gym.Space, observations: Sequence[Any]) -> Any:
     """A batch of single observations."""
     empty: Any = create_empty_array(space, len(observations))

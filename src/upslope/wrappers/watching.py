@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from upslope.wrappers.observation_shapes import mismatch
+from upslope.wrappers.observations import misfit
 
 #: Episodes are truncated, terminated, both at once, and left alone (but truncated in the end), in turn.
 _FORCED = ((False, True), (True, False), (True, True), (False, True))
@@ -105,7 +105,7 @@ def _note_shapes(sub: gym.Env, patch: Callable, layer: Layer) -> None:
     reset, step = sub.reset, sub.step
 
     def note(obs: Any) -> None:
-        words = mismatch(obs, sub.observation_space)
+        words = misfit(sub.observation_space, obs)
         if words and layer.misshapen is None:
             layer.misshapen = (len(layer.calls), words)
 
