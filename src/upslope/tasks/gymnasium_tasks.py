@@ -191,7 +191,7 @@ class GymnasiumTasks(AbstractFamily):
             reward[step], terminated[step], _, next_obs[step] = episodes.step(chosen)
         # Truncation keeps the discount at γ: only a true end cuts the future off.
         played.discount[:] = self.gamma * ~terminated
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf.swapaxes(0, 1)), played)
+        return jax.device_put(Transition(*(leaf.swapaxes(0, 1) for leaf in played)))
 
     def _acting(self, policy: Policy, key: Key, count: int, steps: int) -> Callable[[], Acting]:
         """The policy's actions by step, drawn, from now on, with the keys that a compiled family would use."""
