@@ -1,6 +1,7 @@
 """Tianshou's DQN on a pole that the prior never saw, with and without shaping.
 
-Tianshou pins pandas below 3, so it wants an environment of its own: ``make tianshou`` makes it, and runs the short form.
+Tianshou pins pandas below 3, so it wants an environment of its own: ``make tianshou`` makes it, and runs the short
+form.
 """
 
 from dataclasses import dataclass

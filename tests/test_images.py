@@ -11,8 +11,9 @@ import upslope
 from support import host
 from upslope import GymnasiumTasks, UpslopeError
 from upslope.agents.adaptation import AdaptationConfig
+from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
-from upslope.networks import ConvolutionalTorso, DuelingQ, QNetwork
+from upslope.networks import Actor, ConvolutionalTorso, Critic, DuelingQ, QNetwork
 from upslope.numpy_networks import numpy_batch
 from upslope.prior import Prior, trained_on
 from upslope.recipes import MetaTrainingConfig
@@ -69,7 +70,14 @@ class TestFamily:
 
 class TestNumpy:
     @pytest.mark.parametrize(
-        "network", [dueling(), dueling("tanh"), dueling().advantage, QNetwork(KEY, SPACE.shape, 3, (8,), SCALE)]
+        "network",
+        [
+            dueling(),
+            dueling("tanh"),
+            dueling().advantage,
+            QNetwork(KEY, SPACE.shape, 3, (8,), SCALE),
+            Actor(KEY, SPACE.shape, 3, (8,), SCALE),
+        ],
     )
     def test_networks_act_as_in_jax(self, network):
         images = IMAGES.astype(np.float32)
@@ -125,9 +133,23 @@ class TestLearners:
         np.testing.assert_array_equal(returns, 3.0)
         assert posterior.to_numpy() != prior.to_numpy()
 
-    def test_ddpg_says_that_it_takes_vectors_only(self):
+    def test_ddpg_by_convolutions(self):
         pushed = GymnasiumTasks(
             lambda rng: 1.0, lambda task: host.Lamp(task, SPACE, Box(-1, 1, (1,))), 0.9, max_steps=3
         )
-        with pytest.raises(UpslopeError, match=r"DDPG.*vectors"):
-            upslope.train(pushed, pushed.sample(KEY), updates=1)
+        config = DDPGConfig(hidden=(8,), batch_size=4, warmup_steps=8, replay_capacity=16, evaluation_episodes=1)
+        learners = broadcast(DDPG(pushed, pushed.sample(KEY), None, config), (1,))
+        outcome = run(learners, KEY[None], updates=2, every=2)
+        assert isinstance(outcome.states.actor.torso, ConvolutionalTorso)
+        assert isinstance(outcome.states.critic.seeing, ConvolutionalTorso)
+        np.testing.assert_array_equal(outcome.reports["return"], 3.0)
+
+
+def test_a_critic_of_images_tells_images_and_actions_apart():
+    critic = Critic(KEY, SPACE.shape, 2, (8,), SCALE)
+    first, second = (jnp.asarray(image, jnp.float32) for image in IMAGES[:2])
+    action = jnp.array([0.5, -0.5])
+    features = jnp.concatenate([critic.seeing(first), action])
+    assert float(critic(first, action)) == pytest.approx(float(critic.head(critic.torso(features))[0]), rel=1e-6)
+    assert float(critic(first, action)) != float(critic(second, action))
+    assert float(critic(first, action)) != float(critic(first, -action))

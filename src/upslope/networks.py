@@ -210,14 +210,16 @@ def with_convolutions(network: Network, precision: str, form: Convolution | None
 
 
 class Actor(eqx.Module):
-    """A deterministic policy, bounded to [−1, 1] by tanh."""
+    """A deterministic policy, bounded to [−1, 1] by tanh; its torso suits the observations as `DuelingQ`'s does."""
 
-    torso: MLP
+    torso: MLP | ConvolutionalTorso
     head: eqx.nn.Linear
 
-    def __init__(self, key: Key, inputs: int, actions: int, hidden: Hidden = (32, 32), scale: Scale | None = None):
+    def __init__(
+        self, key: Key, inputs: int | Shape, actions: int, hidden: Hidden = (32, 32), scale: Scale | None = None
+    ):
         torso_key, head_key = jax.random.split(key)
-        self.torso = MLP(torso_key, inputs, hidden, scale)
+        self.torso = torso_for(torso_key, inputs, hidden, scale)
         self.head = eqx.nn.Linear(hidden[-1], actions, key=head_key)
 
     def pre_activation(self, obs: Observation) -> Float[Array, "actions"]:
@@ -229,16 +231,27 @@ class Actor(eqx.Module):
 
 
 class Critic(eqx.Module):
-    """Q(s, a) of a continuous action, by a network of two hidden layers on both together."""
+    """Q(s, a) of a continuous action, by fully connected layers on both together.
+
+    Attributes:
+        seeing: what makes features of images first, as `DuelingQ`'s torso does; None for vectors.
+    """
 
     torso: MLP
     head: eqx.nn.Linear
+    seeing: ConvolutionalTorso | None
 
-    def __init__(self, key: Key, inputs: int, actions: int, hidden: Hidden = (32, 32), scale: Scale | None = None):
+    def __init__(
+        self, key: Key, inputs: int | Shape, actions: int, hidden: Hidden = (32, 32), scale: Scale | None = None
+    ):
         torso_key, head_key = jax.random.split(key)
-        both = (scale or (1.0,) * inputs) + (1.0,) * actions
-        self.torso = MLP(torso_key, inputs + actions, hidden, both)
+        seen = torso_for(jax.random.fold_in(key, 0), inputs, hidden, scale)
+        self.seeing = seen if isinstance(seen, ConvolutionalTorso) else None
+        numbers = seen.scale if self.seeing is None else (1.0,) * hidden[-1]
+        both = numbers + (1.0,) * actions
+        self.torso = MLP(torso_key, len(both), hidden, both)
         self.head = eqx.nn.Linear(hidden[-1], 1, key=head_key)
 
     def __call__(self, obs: Observation, action: Float[Array, "actions"]) -> Scalar:
-        return self.head(self.torso(jnp.concatenate([obs, action])))[0]
+        features = obs if self.seeing is None else self.seeing(obs)
+        return self.head(self.torso(jnp.concatenate([features, action])))[0]

@@ -10,7 +10,6 @@ import optax
 
 from upslope.agents.dqn import adam
 from upslope.agents.experience import Experience, greedy_return
-from upslope.errors import UpslopeError
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import huber
 from upslope.networks import Actor, Critic
@@ -76,12 +75,7 @@ class DDPG(AbstractTaskLearner):
     def init(self, key: Key) -> DDPGState:
         key, actor_key, critic_key, start_key, warmup_key = jax.random.split(key, 5)
         family, config = self.family, self.config
-        if len(family.observation_shape) != 1:
-            raise UpslopeError(
-                f"DDPG takes vectors, and observations of {family.name} are of shape {family.observation_shape}: "
-                "flatten them."
-            )
-        sizes = (family.observation_shape[0], family.actions, config.hidden, family.observation_scale)
+        sizes = (family.observation_shape, family.actions, config.hidden, family.observation_scale)
         actor, critic = Actor(actor_key, *sizes), Critic(critic_key, *sizes)
         experience = Experience.start(start_key, family, self.task, config.replay_capacity, self.shaping)
         experience, _ = experience.extend(
