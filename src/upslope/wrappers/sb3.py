@@ -187,7 +187,8 @@ class ShapedReplayBuffer(ReplayBuffer):
             )
         samples = super()._get_samples(batch_inds, env)
         both = np.concatenate([samples.observations.cpu().numpy(), samples.next_observations.cpu().numpy()])
-        both = both.reshape(-1, *self.observation_space.shape)  # the replay keeps discrete ones as vectors of one
+        # The replay keeps discrete observations as vectors of one number.
+        both = both.reshape((len(both), *(self.observation_space.shape or ())))
         # Terminated steps have done = 1 here, and truncated ones 0: the very factor of the learner's bootstrap.
         goes_on = samples.dones.cpu().numpy()[:, 0] == 0
         # In one call, so that Φ can't move in between; Φ need not be defined at terminal states.
