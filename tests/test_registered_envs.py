@@ -100,9 +100,7 @@ def test_pictures_show_the_pole_move():
     assert gym.make("upslope/CartPole-v0").unwrapped.render() is None
 
 
-@pytest.mark.parametrize(
-    "settings", [{"length": 0.0}, {"length": float("nan")}, {"track_limit": -1.0}, {"length": "long"}]
-)
+@pytest.mark.parametrize("settings", [{"length": 0.0}, {"length": float("nan")}, {"track_limit": -1.0}])
 def test_impossible_poles(settings):
     with pytest.raises(upslope.UpslopeError, match="must be positive"):
         gym.make("upslope/CartPole-v0", **settings)

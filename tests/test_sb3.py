@@ -39,8 +39,8 @@ class Dying(Walk):
 
 class Growing(Walk):
     def step(self, action):
-        obs, *rest = super().step(action)
-        return (np.append(obs, np.float32(0.0)), *rest)
+        obs, reward, *_, info = super().step(action)
+        return np.append(obs, np.float32(0.0)), reward, False, False, info
 
 
 class TestWrapper:
