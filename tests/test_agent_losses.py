@@ -8,10 +8,11 @@ import pytest
 from support.batches import ACTIONS, OBSERVATIONS, random_batch
 from support.comparing import assert_trees_close, largest
 from support.probes import choices, discrete_family
+from upslope.actor_critic import Actor, Critic
 from upslope.agents.ddpg import actor_loss, critic_loss
 from upslope.agents.dqn import DQN, DQNConfig, adam, dqn_loss
 from upslope.losses import huber
-from upslope.networks import Actor, Critic, QNetwork
+from upslope.networks import QNetwork
 
 SIZES = (OBSERVATIONS, ACTIONS, (6, 5))
 BATCH = random_batch(1)

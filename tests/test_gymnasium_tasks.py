@@ -13,8 +13,9 @@ from gymnasium.spaces import Box, Dict, Discrete, MultiBinary, MultiDiscrete, Te
 from support import host
 from support.comparing import assert_trees_identical
 from upslope import GymnasiumTasks, UpslopeError
+from upslope.actor_critic import Actor
 from upslope.envs.cartpole import CartPole, CartPoleState
-from upslope.networks import Actor, DuelingQ, QNetwork
+from upslope.networks import DuelingQ, QNetwork
 from upslope.policies import Deterministic, EpsilonGreedy, Greedy, Noisy
 from upslope.tasks import cartpoles
 

@@ -10,10 +10,11 @@ from gymnasium.spaces import Box
 import upslope
 from support import host
 from upslope import GymnasiumTasks, UpslopeError
+from upslope.actor_critic import Actor, Critic
 from upslope.agents.adaptation import AdaptationConfig
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
-from upslope.networks import Actor, ConvolutionalTorso, Critic, DuelingQ, QNetwork
+from upslope.networks import ConvolutionalTorso, DuelingQ, QNetwork
 from upslope.numpy_networks import numpy_batch
 from upslope.prior import Prior, trained_on
 from upslope.recipes import MetaTrainingConfig

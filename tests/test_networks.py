@@ -10,11 +10,12 @@ import pytest
 
 import upslope
 from support.batches import small_network
+from upslope.actor_critic import Actor, Critic
 from upslope.agents.dqn import DQN, for_maps
 from upslope.convolution import FORMS
 from upslope.errors import UpslopeError
 from upslope.meta_training import MetaTraining
-from upslope.networks import MLP, Actor, Critic, DuelingQ, QNetwork, convolutional_torso, with_convolutions
+from upslope.networks import MLP, DuelingQ, QNetwork, convolutional_torso, with_convolutions
 from upslope.potentials import constant_potential, mean_potential, stack
 from upslope.recipes import MetaTrainingConfig
 

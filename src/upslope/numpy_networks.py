@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from upslope.networks import MLP, Actor, ConvolutionalTorso, DuelingQ, QNetwork
+from upslope.actor_critic import Actor
+from upslope.networks import MLP, ConvolutionalTorso, DuelingQ, QNetwork
 from upslope.numpy_convolution import convolve
 
 #: Functions of an array, and of the array that their result goes into.

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from upslope.actor_critic import Actor, Critic
 from upslope.agents.dqn import adam
 from upslope.agents.experience import Experience, greedy_return
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import huber
-from upslope.networks import Actor, Critic
 from upslope.policies import Deterministic, Noisy
 from upslope.shaping import Shaping, shape
 from upslope.tasks.family import AbstractFamily
