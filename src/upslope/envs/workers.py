@@ -44,14 +44,14 @@ def alive(call: Callable[..., Result], *inputs: Any) -> Result:
         ) from error
 
 
-def call_or_end(env: Any, call: Callable[[], Result]) -> Result:
+def call_or_end(env: Any, call: Callable[..., Result], *inputs: Any) -> Result:
     """Calls a vector environment; once it has lost a worker it can't go on, nor be closed: the others are ended.
 
     Raises:
         UpslopeError: see `alive`.
     """
     try:
-        return alive(call)
+        return alive(call, *inputs)
     except DeadWorkerError:
         _end_workers(env.unwrapped)
         raise

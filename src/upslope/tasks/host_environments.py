@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 from upslope.envs.task_slot import TaskSlot
-from upslope.envs.workers import DeadWorkerError, alive
+from upslope.envs.workers import alive, call_or_end, close_or_end
 
 Mode = Literal["sync", "async"]
 
@@ -29,7 +29,6 @@ class HostEnvironments:
         self._scratch: dict[int, gym.vector.VectorEnv] = {}
         self._obs: dict[int, np.ndarray] = {}
         self._started = 0
-        self._has_lost_a_worker = False
         self.seconds = 0.0
 
     def start(self, tasks: Sequence[Any], seed: int) -> int:
@@ -66,22 +65,14 @@ class HostEnvironments:
     def close(self) -> None:
         """Closes all; they are made anew when needed."""
         for env in (*self._running.values(), *self._scratch.values()):
-            _close(env, kill=self._has_lost_a_worker)
+            close_or_end(env, env.close)
         self._running, self._scratch, self._obs = {}, {}, {}
-        self._has_lost_a_worker = False
 
-    def call(self, function: Callable[..., Any], *inputs: Any) -> Any:
-        """Calls a vector environment, on the clock.
-
-        Raises:
-            UpslopeError: a worker has died.
-        """
+    def on_the_clock(self, function: Callable[..., Any], *inputs: Any) -> Any:
+        """Calls a function, its time counted."""
         began = time.perf_counter()
         try:
-            return alive(function, *inputs)
-        except DeadWorkerError:
-            self._has_lost_a_worker = True
-            raise
+            return function(*inputs)
         finally:
             self.seconds += time.perf_counter() - began
 
@@ -90,7 +81,9 @@ class HostEnvironments:
         if self._mode == "sync":
             return SyncVectorEnv(slots, autoreset_mode=AutoresetMode.SAME_STEP)
         # Spawned, not forked: JAX runs threads, and a fork could inherit their locks.
-        return self.call(lambda: AsyncVectorEnv(slots, autoreset_mode=AutoresetMode.SAME_STEP, context="spawn"))
+        return self.on_the_clock(
+            alive, lambda: AsyncVectorEnv(slots, autoreset_mode=AutoresetMode.SAME_STEP, context="spawn")
+        )
 
     def _reset(self, env: Any, tasks: Sequence[Any], seed: int) -> np.ndarray:
         seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(len(tasks))]
@@ -99,17 +92,7 @@ class HostEnvironments:
             env.set_attr("task", list(tasks))
             return env.reset(seed=seeds)[0]
 
-        return self.call(reset)
-
-
-def _close(env: Any, *, kill: bool) -> None:
-    if not kill or not hasattr(env, "processes"):
-        env.close()
-        return
-    for worker in env.processes:  # closing would wait for the answer of the one that died
-        worker.kill()
-        worker.join()
-    env.closed = True
+        return self.on_the_clock(call_or_end, env, reset)
 
 
 class Episodes:
@@ -122,7 +105,9 @@ class Episodes:
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """One step of each: rewards, terminated, truncated ``[n]``, and true successors ``[n, *obs]``."""
-        shown, rewards, terminated, truncated, infos = self._pool.call(self._env.step, actions)
+        shown, rewards, terminated, truncated, infos = self._pool.on_the_clock(
+            call_or_end, self._env, self._env.step, actions
+        )
         successors = shown
         if "final_obs" in infos:
             successors = shown.copy()

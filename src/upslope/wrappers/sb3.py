@@ -89,7 +89,7 @@ class PotentialShaping(VecEnvWrapper):
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
-        call_or_end(self.venv, lambda: self.venv.step_async(actions))
+        call_or_end(self.venv, self.venv.step_async, actions)
 
     def step_wait(self) -> Any:
         """One step of each, the rewards shaped.

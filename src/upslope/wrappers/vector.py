@@ -109,7 +109,7 @@ class PotentialShaping(gym.vector.VectorWrapper, RecordConstructorArgs):
         """
         if self._potentials is None:
             raise UpslopeError("step was called before reset: reset the vector environment first.")
-        obs, rewards, terminated, truncated, infos = call_or_end(self.env, lambda: self.env.step(actions))
+        obs, rewards, terminated, truncated, infos = call_or_end(self.env, self.env.step, actions)
         rewards = np.asarray(rewards, np.float64)
         done = np.logical_or(terminated, truncated)
         starting = self._resetting if self._mode is AutoresetMode.NEXT_STEP else np.zeros_like(done)
