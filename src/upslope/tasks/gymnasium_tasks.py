@@ -8,12 +8,13 @@ import gymnasium as gym
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Float, Int
 
 from upslope.envs.task_slot import made
 from upslope.errors import UpslopeError
 from upslope.tasks.abstract_evaluation import evaluated_abstractly
 from upslope.tasks.family import AbstractFamily
+from upslope.tasks.host_acting import acting, reset_and_act, seed_of
 from upslope.tasks.host_environments import Episodes, HostEnvironments, Mode
 from upslope.tasks.observation_scale import scale_of
 from upslope.tasks.task_protocol import of_protocol
@@ -130,7 +131,7 @@ class GymnasiumTasks(AbstractFamily):
     def reset(self, key: Key, tasks: Task) -> RunningHost:
         if evaluated_abstractly(key, tasks):
             return RunningHost(jnp.zeros((), jnp.int32))
-        number = self.environments.start(self._tasks(tasks), _seed(jax.random.key_data(key)))
+        number = self.environments.start(self._tasks(tasks), seed_of(jax.random.key_data(key)))
         return RunningHost(jnp.asarray(number, jnp.int32))
 
     def collect(
@@ -142,7 +143,7 @@ class GymnasiumTasks(AbstractFamily):
         if not self.environments.knows(number, len(tasks)):  # from a checkpoint: episodes can't be restored
             running = self.reset(key, tasks)
             number = int(running.number)
-        act = self._acting(policy, key, len(tasks), steps)()
+        act = acting(policy, key, len(tasks), self.actions, steps)()
         transitions = self._play(self.environments.go_on(number), act, steps)
         return RunningHost(jnp.asarray(number, jnp.int32)), transitions
 
@@ -152,21 +153,21 @@ class GymnasiumTasks(AbstractFamily):
         return self.rollout_later(key, tasks, policy, steps)()
 
     def rollout_later(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Callable[[], Transition]:
-        reset_words, act_key = _reset_and_act(key)
-        acting = self._acting(policy, act_key, len(tasks), steps)
+        reset_words, act_key = reset_and_act(key)
+        act = acting(policy, act_key, len(tasks), self.actions, steps)
 
         def play() -> Transition:
-            episodes = self.environments.fresh(self._tasks(tasks), _seed(reset_words))
-            return self._play(episodes, acting(), steps)
+            episodes = self.environments.fresh(self._tasks(tasks), seed_of(reset_words))
+            return self._play(episodes, act(), steps)
 
         return play
 
     def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
         if evaluated_abstractly(key, tasks):
             return jnp.zeros(len(tasks))
-        reset_words, act_key = _reset_and_act(key)
-        episodes = self.environments.fresh(self._tasks(tasks), _seed(reset_words))
-        act = self._acting(policy, act_key, len(tasks), self.max_steps)()
+        reset_words, act_key = reset_and_act(key)
+        episodes = self.environments.fresh(self._tasks(tasks), seed_of(reset_words))
+        act = acting(policy, act_key, len(tasks), self.actions, self.max_steps)()
         alive, total = np.ones(len(tasks), bool), np.zeros(len(tasks), np.float32)
         for step in range(self.max_steps):
             rewards, terminated, truncated, _ = episodes.step(act(step, episodes.obs))
@@ -192,14 +193,6 @@ class GymnasiumTasks(AbstractFamily):
         # Truncation keeps the discount at γ: only a true end cuts the future off.
         played.discount[:] = self.gamma * ~terminated
         return jax.device_put(Transition(*(leaf.swapaxes(0, 1) for leaf in played)))
-
-    def _acting(self, policy: Policy, key: Key, count: int, steps: int) -> Callable[[], Acting]:
-        """The policy's actions by step, drawn, from now on, with the keys that a compiled family would use."""
-        keys = _act_keys(key, steps)
-        on_host = getattr(policy, "on_host", lambda *_: None)(keys, (count, self.actions))
-        if on_host is not None:
-            return on_host
-        return lambda: lambda step, obs: np.asarray(_act(policy, keys, jnp.asarray(step), jnp.asarray(obs)))
 
     def _shapes(self, rows: int, columns: int, xp: Any = jnp) -> Transition:
         """Transitions of zeros ``[rows, columns, ...]``."""
@@ -229,25 +222,7 @@ def _drawn(sample: Callable[[np.random.Generator], Any], words: np.ndarray) -> A
         ) from error
 
 
-def _seed(words: UInt32[Array, "2"]) -> int:
-    high, low = np.asarray(words).tolist()
-    return high << 32 | low
-
-
-@jax.jit
-def _reset_and_act(key: Key) -> tuple[UInt32[Array, "2"], Key]:
-    """The words of the key of a reset, and the key that draws what policies draw."""
-    reset_key, act_key = jax.random.split(key)
-    return jax.random.key_data(reset_key), act_key
-
-
-def _act_keys_of(key: Key, steps: int) -> Any:
-    return jax.vmap(lambda key: jax.random.split(key)[0])(jax.random.split(key, steps))
-
-
 _words = jax.jit(lambda key, count: jax.random.key_data(jax.random.split(key, count)), static_argnums=1)
-_act_keys = jax.jit(_act_keys_of, static_argnames="steps")
-_act = eqx.filter_jit(lambda policy, keys, step, obs: policy(keys[step], obs))
 
 
 def _limit(env: gym.Env, given: int | None) -> int:
