@@ -12,8 +12,8 @@ from support.comparing import assert_trees_close, largest
 from support.probes import discrete_family
 from upslope.errors import UpslopeError
 from upslope.finite_posterior import (
+    FiniteSamples,
     Steps,
-    TableSamples,
     posterior_heads,
     posterior_table,
     posterior_weights,
@@ -51,7 +51,7 @@ def tasks(family):
 
 
 @pytest.fixture(scope="module")
-def samples(meta, state, tasks) -> TableSamples:
+def samples(meta, state, tasks) -> FiniteSamples:
     return jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta))(tasks)
 
 

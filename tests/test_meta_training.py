@@ -13,7 +13,7 @@ from support.comparing import assert_trees_close, assert_trees_identical
 from support.meta import BATCH, TINY, learner
 from support.probes import discrete_family, observation_dependent
 from upslope.errors import UpslopeError
-from upslope.meta_training import MetaTraining, best_snapshot
+from upslope.meta_training import MetaTraining
 from upslope.recipes import MetaTrainingConfig
 
 
@@ -109,7 +109,7 @@ class TestSnapshots:
         ],
     )
     def test_the_best_of_the_last_share(self, returns, share, expected):
-        assert best_snapshot(np.array(returns, float), MetaTrainingConfig(select_from=share)) == expected
+        assert MetaTrainingConfig(select_from=share).best_snapshot(np.array(returns, float)) == expected
 
     def test_snapshots_are_tried_on_the_same_episodes(self, states):
         # Episodes that start at random and earn −1 or 1 by their start alone.

@@ -13,7 +13,7 @@ from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHea
 from upslope.agents.ddpg import DDPG, DDPGConfig
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.errors import UpslopeError
-from upslope.meta_training import MetaTraining, best_snapshot
+from upslope.meta_training import MetaTraining
 from upslope.prior import Prior, trained_on
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.loop import broadcast, run
@@ -60,7 +60,7 @@ def best_prior(family: AbstractFamily, outcome: Outcome, config: MetaTrainingCon
         seed: that it began with.
     """
     returns = outcome.reports["return"][index]
-    best = best_snapshot(returns, config)
+    best = config.best_snapshot(returns)
     network = jax.tree.map(lambda leaf: jnp.asarray(leaf[index, best]), outcome.reports["prior"])
     measured = {"iteration": int(outcome.updates[best]), "return_on_training_tasks": float(returns[best])}
     return Prior(network, trained_on(family, network, seed, asdict(config) | measured))

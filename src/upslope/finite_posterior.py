@@ -39,7 +39,7 @@ class Steps(eqx.Module):
     share: Float[Array, "*steps"]
 
 
-class TableSamples(eqx.Module):
+class FiniteSamples(eqx.Module):
     """What one φ_i and its outer loss are computed from.
 
     Attributes:
@@ -67,7 +67,7 @@ class TablePolicy(eqx.Module):
 
 def collect_steps(
     key: Key, family: JaxTasks, tasks: Task, theta: DuelingQ, epsilon: Float[Array, "environments"], steps: int
-) -> TableSamples:
+) -> FiniteSamples:
     """Fresh D_i ``[tasks, environments · steps]``: several environments of each task, each with its own ε."""
     observations = jax.vmap(family.env.observe_all)(tasks)
     copies, count = len(epsilon), observations.shape[0]
@@ -86,7 +86,7 @@ def collect_steps(
     share = jax.vmap(lambda state, action: 1 / jnp.zeros(sizes).at[state, action].add(1.0)[state, action])(
         state, action
     )
-    return TableSamples(observations, Steps(state, action, reward, discount, successor, share), None)
+    return FiniteSamples(observations, Steps(state, action, reward, discount, successor, share), None)
 
 
 def q_tables(

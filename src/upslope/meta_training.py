@@ -7,14 +7,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from jaxtyping import Array, Float
 
 from upslope.convolution import fastest_form
 from upslope.errors import UpslopeError
 from upslope.finite_posterior import (
-    TableSamples,
+    FiniteSamples,
     collect_steps,
     posterior_heads,
     posterior_table,
@@ -103,19 +102,23 @@ class MetaTraining(AbstractTaskLearner):
         acting = theta if self.family.on_host else None
         return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta), acting)
 
-    def gather(self, state: MetaTrainingState) -> Transition | TableSamples:
-        _, task_key, collect_key, _ = jax.random.split(state.key, 4)
-        acting = state.theta if state.acting is None else state.acting
-        return self.collect(collect_key, self.family.sample_many(task_key, self.config.tasks), acting)
+    def gather(self, state: MetaTrainingState) -> Transition | FiniteSamples:
+        key, tasks = self.tasks(state.key)
+        return self.collect(key, tasks, state.theta if state.acting is None else state.acting)
 
-    def gather_ahead(self, state: MetaTrainingState) -> Callable[[], Transition | TableSamples] | None:
+    def tasks(self, key: Key) -> tuple[Key, Any]:
+        """What an iteration that begins with this key collects with: a key, and tasks ``[tasks, ...]``."""
+        _, task_key, collect_key, _ = jax.random.split(key, 4)
+        return collect_key, self.family.sample_many(task_key, self.config.tasks)
+
+    def gather_ahead(self, state: MetaTrainingState) -> Callable[[], Transition | FiniteSamples] | None:
         if state.acting is None:
             return None
         key, tasks, policy = _drawn_ahead(self, state.key, state.theta)
         return self.family.rollout_later(key, tasks, policy, self.config.steps_per_task)
 
     def update(
-        self, state: MetaTrainingState, gathered: Transition | TableSamples
+        self, state: MetaTrainingState, gathered: Transition | FiniteSamples
     ) -> tuple[MetaTrainingState, Metrics]:
         key, _, _, update_key = jax.random.split(state.key, 4)
 
@@ -140,13 +143,13 @@ class MetaTraining(AbstractTaskLearner):
             optimiser,
             None if state.acting is None else state.theta,
         )
-        if isinstance(gathered, TableSamples):
+        if isinstance(gathered, FiniteSamples):
             signs = {"reward": jnp.mean(gathered.steps.reward, axis=-1)}
         else:
             signs = vital_signs(gathered)
         return following, signs | jax.tree.map(jnp.mean, metrics)
 
-    def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition | TableSamples:
+    def collect(self, key: Key, tasks: Any, theta: DuelingQ) -> Transition | FiniteSamples:
         """Fresh replays D_i ``[tasks, steps, ...]``, ε-greedy by Q_θ, with its own ε for each task or environment."""
         if self.config.posterior != "network":
             assert isinstance(self.family, JaxTasks), "init refuses all others"
@@ -158,45 +161,37 @@ class MetaTraining(AbstractTaskLearner):
         """What acts on a batch of tasks, with an ε for each."""
         return EpsilonGreedy(theta, jnp.linspace(*self.config.epsilon, self.config.tasks))
 
-    def draw(self, key: Key, experience: Transition | TableSamples, target: DuelingQ) -> TaskSamples | TableSamples:
+    def draw(self, key: Key, experience: Transition | FiniteSamples, target: DuelingQ) -> TaskSamples | FiniteSamples:
         """The samples of every task here ``[tasks, batch, ...]``, used by the inner and the outer loss alike."""
-        if isinstance(experience, TableSamples):
+        if isinstance(experience, FiniteSamples):
             base = None if self.config.target_decay is None else q_tables(target, experience.observations)
-            return TableSamples(experience.observations, experience.steps, base)
+            return FiniteSamples(experience.observations, experience.steps, base)
         keys = own_tasks(jax.random.split(key, self.config.tasks), self.shared_over)
         batch = jax.vmap(lambda key, data: Replay.of(data).sample(key, self.config.batch_size))(keys, experience)
         if self.config.target_decay is None:
             return TaskSamples(batch, None)
         return TaskSamples(batch, jax.vmap(jax.vmap(target))(batch.next_obs))
 
-    def outer_gradient(self, theta: DuelingQ, samples: TaskSamples | TableSamples) -> tuple[Scalar, DuelingQ]:
+    def outer_gradient(self, theta: DuelingQ, samples: TaskSamples | FiniteSamples) -> tuple[Scalar, DuelingQ]:
         """The outer loss and its gradient, all tasks at once or one after the other."""
         if self.config.task_by_task:
             return gradient_task_by_task(self.task_outer_loss, theta, samples)
         return jax.value_and_grad(self.outer_loss)(theta, samples)
 
-    def outer_loss(self, theta: DuelingQ, samples: TaskSamples | TableSamples) -> Scalar:
+    def outer_loss(self, theta: DuelingQ, samples: TaskSamples | FiniteSamples) -> Scalar:
         """Mean of `task_outer_loss` over tasks."""
         return jnp.mean(jax.vmap(lambda task: self.task_outer_loss(theta, task))(samples))
 
-    def task_outer_loss(self, theta: DuelingQ, samples: TaskSamples | TableSamples) -> Scalar:
+    def task_outer_loss(self, theta: DuelingQ, samples: TaskSamples | FiniteSamples) -> Scalar:
         """Eq. 7 for one task, with φ_i adapted from θ by Eq. 2 on the TD error of Eq. 5."""
         config = self.config
-        if isinstance(samples, TableSamples):
+        if isinstance(samples, FiniteSamples):
             return self.outer_loss_in_all_states(theta, samples)
-        phi = adapt(
-            self.task_td_loss,
-            theta,
-            samples,
-            step_size=config.inner_step_size,
-            steps=config.inner_steps,
-            first_order=config.first_order,
-            rematerialise=config.rematerialise,
-            normalised=config.normalised_steps,
-        )
+        how = {"first_order": config.first_order, "rematerialise": config.rematerialise}
+        phi = adapt(self.task_td_loss, theta, samples, **self._inner(), **how)
         return self.distance_to_posterior(theta, phi, samples)
 
-    def outer_loss_in_all_states(self, theta: DuelingQ, samples: TableSamples) -> Scalar:
+    def outer_loss_in_all_states(self, theta: DuelingQ, samples: FiniteSamples) -> Scalar:
         """The same for a finite task, φ_i adapted to all of D_i."""
         config, steps = self.config, samples.steps
         q_prior = jax.vmap(theta)(samples.observations)
@@ -205,14 +200,7 @@ class MetaTraining(AbstractTaskLearner):
             q = posterior_table(base, steps, step_size=config.inner_step_size, inner_steps=config.inner_steps)
         else:
             adapted = posterior_heads if config.posterior == "heads" else posterior_weights
-            q = adapted(
-                jax.lax.stop_gradient(theta),
-                samples.observations,
-                steps,
-                step_size=config.inner_step_size,
-                steps=config.inner_steps,
-                normalised=config.normalised_steps,
-            )
+            q = adapted(jax.lax.stop_gradient(theta), samples.observations, steps, **self._inner())
         weights = {"reward_weight": config.reward_weight, "advantage_weight": config.advantage_weight}
         return table_distance(q_prior, q, steps, **weights)
 
@@ -241,6 +229,15 @@ class MetaTraining(AbstractTaskLearner):
         returns = self.family.returns(episode_key, tasks, Greedy(state.average))
         return {"return": jnp.mean(returns), "prior": state.average}
 
+    def _inner(self) -> dict[str, Any]:
+        """The inner steps' settings."""
+        config = self.config
+        return {
+            "step_size": config.inner_step_size,
+            "steps": config.inner_steps,
+            "normalised": config.normalised_steps,
+        }
+
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config
         updates = config.iterations * config.outer_updates - config.outer_warmup
@@ -262,21 +259,5 @@ class MetaTraining(AbstractTaskLearner):
 @jax.jit
 def _drawn_ahead(learner: MetaTraining, key: Key, theta: DuelingQ) -> tuple[Key, Any, EpsilonGreedy]:
     """What the next iteration's `MetaTraining.collect` is given, in arrays of its own."""
-    _, task_key, collect_key, _ = jax.random.split(jax.random.split(key, 4)[0], 4)
-    policy = learner.behaviour(jax.tree.map(jnp.copy, theta))
-    return collect_key, learner.family.sample_many(task_key, learner.config.tasks), policy
-
-
-def best_snapshot(returns: Float[np.ndarray, "snapshots"], config: MetaTrainingConfig) -> int:
-    """Which snapshot becomes the prior: of those after ``select_from``, the best on extra training tasks.
-
-    Args:
-        returns: each snapshot's greedy return, evenly spaced over the training, the first of them before any.
-        config: of the training.
-
-    Returns:
-        Its index; of equals the last.
-    """
-    first = min(int(np.ceil(config.select_from * (len(returns) - 1))), len(returns) - 1)
-    candidates = np.asarray(returns)[first:]
-    return len(returns) - 1 - int(candidates[::-1].argmax())
+    following = jax.random.split(key, 4)[0]
+    return *learner.tasks(following), learner.behaviour(jax.tree.map(jnp.copy, theta))

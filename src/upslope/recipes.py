@@ -3,6 +3,9 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+from jaxtyping import Float
+
 from upslope.convolution import Precision
 from upslope.errors import UpslopeError
 from upslope.networks import Activation
@@ -105,6 +108,19 @@ class MetaTrainingConfig:
         for name, share in (*shares.items(), *(("epsilon", share) for share in self.epsilon)):
             if not 0 <= share <= 1:
                 raise UpslopeError(f"{name} is {share}, but it is a share: give a number from 0 to 1.")
+
+    def best_snapshot(self, returns: Float[np.ndarray, "snapshots"]) -> int:
+        """Which snapshot becomes the prior: of those after ``select_from``, the best on extra training tasks.
+
+        Args:
+            returns: each snapshot's greedy return, evenly spaced over the training, the first of them before any.
+
+        Returns:
+            Its index; of equals the last.
+        """
+        first = min(int(np.ceil(self.select_from * (len(returns) - 1))), len(returns) - 1)
+        candidates = np.asarray(returns)[first:]
+        return len(returns) - 1 - int(candidates[::-1].argmax())
 
 
 _COUNTS = (

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.experiments.keys import Purpose, key_for, keys_for
-from upslope.meta_training import MetaTraining, best_snapshot
+from upslope.meta_training import MetaTraining
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy, Greedy
 from upslope.recipes import MetaTrainingConfig
@@ -62,7 +62,7 @@ def meta_train_priors(
         allow_divergence=allow_divergence,
     )
     snapshots, returns = outcome.reports["prior"], outcome.reports["return"]
-    chosen = outcome.updates[[best_snapshot(row, config) for row in returns]]
+    chosen = outcome.updates[[config.best_snapshot(row) for row in returns]]
     return Priors(_best(outcome, config), snapshots, outcome.updates, returns, chosen)
 
 
@@ -103,7 +103,7 @@ def blank_priors(family: JaxTasks, config: MetaTrainingConfig, *batch: int) -> D
 
 def _best(outcome: Outcome, config: MetaTrainingConfig) -> DuelingQ:
     """Of every learner its best snapshot ``[learners, ...]``."""
-    best = np.asarray([best_snapshot(row, config) for row in outcome.reports["return"]])
+    best = np.asarray([config.best_snapshot(row) for row in outcome.reports["return"]])
     return jax.tree.map(lambda leaf: jnp.asarray(leaf[np.arange(len(best)), best]), outcome.reports["prior"])
 
 

@@ -13,7 +13,7 @@ from upslope.experiments.keys import Purpose, key_for, keys_for
 from upslope.experiments.maps.readings import GridPriorsConfig, Maps, stage
 from upslope.experiments.results import circumstances
 from upslope.measures import Truth, dead_units, feature_norm, measure_all, summarise, tables, truths
-from upslope.meta_training import MetaTraining, best_snapshot
+from upslope.meta_training import MetaTraining
 from upslope.networks import DuelingQ
 from upslope.planning import lookahead
 from upslope.prior import Prior
@@ -87,7 +87,7 @@ def describe(
     Of the priors themselves the single maps are told too, ``[seeds][maps]``.
     """
     seeds, snapshots = outcome.reports["return"].shape
-    chosen = [best_snapshot(row, config) for row in outcome.reports["return"]]
+    chosen = [config.best_snapshot(row) for row in outcome.reports["return"]]
     curves: dict[str, Any] = {}
     maps: dict[str, list[list[float]]] = {"rank_correlation": [], "success": []}
     for seed in range(seeds):
