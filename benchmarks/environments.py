@@ -32,6 +32,7 @@ from upslope.types import Transition
 
 LEVELS = ("alone", "with a policy", "with training")
 STEP_SIZE = 1e-3
+FOUR_NUMBERS, WHOLE_MAP = "grid, gymnax (Four Rooms)", "grid, gymnax (Four Rooms, its map shown)"
 
 #: Each holds its map in Python's lists, 60 kB; 20,000 of them take a minute to make.
 _FROZEN_LAKES = 1000
@@ -93,7 +94,7 @@ def main(options: Options) -> None:
 
 
 def rivals() -> list[Rival]:
-    """Ours, and gymnax's where it is installed: its CartPole, and Four Rooms, the grid that it has."""
+    """Ours, and gymnax's where it is installed: its CartPole, and its grid, Four Rooms, in both its forms."""
     poles, maps = cartpoles(), obstacle_maps()
     sample = {family.name: jax.jit(family.sample_many, static_argnums=1) for family in (poles, maps)}
     found = [
@@ -105,9 +106,10 @@ def rivals() -> list[Rival]:
 
         for name, known, shape, actions in (
             ("CartPole, gymnax", "CartPole-v1", (4,), 2),
-            ("grid, gymnax (Four Rooms)", "FourRooms-misc", (4,), 4),
+            (FOUR_NUMBERS, "FourRooms-misc", (4,), 4),
+            (WHOLE_MAP, "FourRooms-misc", (13, 13, 2), 4),
         ):
-            env, params = gymnax.make(known)
+            env, params = gymnax.make(known, **({"use_visual_obs": True} if name == WHOLE_MAP else {}))
             found.append(Rival(name, env, lambda _, params=params: params, False, shape, actions))
     return found
 
@@ -201,7 +203,11 @@ def hosted(envs: Any, steps: int, level: str) -> Callable[[], object]:
 def bars(rows: dict[str, Row], options: Options) -> list[Bar]:
     """Not behind gymnax at any width, and far before Gymnasium's SyncVectorEnv at the widest."""
     found = []
-    for ours, theirs in (("CartPole, upslope", "CartPole, gymnax"), ("grid, upslope", "grid, gymnax (Four Rooms)")):
+    for ours, theirs in (
+        ("CartPole, upslope", "CartPole, gymnax"),
+        ("grid, upslope", WHOLE_MAP),
+        ("grid, upslope", FOUR_NUMBERS),
+    ):
         for width in options.widths:
             for level in LEVELS:
                 pair = [rows.get(f"{name}, {width:,}, {level}") for name in (ours, theirs)]

@@ -56,10 +56,13 @@ def main(options: Options) -> None:
         f"{steps // 10:,} steps of 20,000 games": playing(20_000, steps // 10),
     }
     waited = {name: Part(lambda part=part: jax.block_until_ready(part())) for name, part in parts.items()}
-    for number, each in ((1, 10 * updates), (learners, updates)):
+    for number, chunks in ((1, 10), (learners, 1)):
         going = Going(*learning(number))
-        name = f"{each} updates of {number} DQN{'s' * (number > 1)} on obstacle maps"
-        waited[name] = Part(lambda going=going, each=each: going.advance(each), {"learner-updates": number * each})
+        name = f"{chunks} × {updates} updates of {number} DQN{'s' * (number > 1)} on obstacle maps"
+        waited[name] = Part(
+            lambda going=going, chunks=chunks: [going.advance(updates) for _ in range(chunks)],
+            {"learner-updates": number * chunks * updates},
+        )
     rows = harness.time_in_turns(waited, options.repeats)
     alone, together = (row["learner-updates/s"] for row in rows.values() if "learner-updates/s" in row)
     bar = Bar(
@@ -69,8 +72,8 @@ def main(options: Options) -> None:
 
 
 _BOUND = (
-    "arithmetic: one learner's products, with weights that no other shares, keep a core busy, "
-    "and two cores are all there is to gain"
+    "arithmetic: one learner's products, with weights that no other shares, keep a core busy, and two cores are all "
+    "there is to gain, of which threads within its products give one alone a part"
 )
 
 

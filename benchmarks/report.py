@@ -96,17 +96,12 @@ def section(name: str, arguments: str, minutes: str, content: Any, picture: str 
     if content["bars"]:
         yield bars_table({name: content})
     load = content["hardware"].get("load")
-    written = content["written"][:16].replace("T", " ")
-    yield f"Measured {written} UTC, {repeats(content)}{f', load {load[0]:.1f} at the end' if load else ''}."
+    written, repeats = content["written"][:16].replace("T", " "), content["settings"]["repeats"]
+    at_the_end = f", load {load[0]:.1f} at the end" if load else ""
+    yield f"Measured {written} UTC, {repeats} repeats in turns{at_the_end}."
 
 
 _EXTRAS = {"meta_training": ("curves",), "scaling": ("fits",)}
-
-
-def repeats(content: Any) -> str:
-    """How often."""
-    count = content["settings"]["repeats"]
-    return "one process of each" if count == 1 else f"{count} repeats in turns"
 
 
 def bars_table(found: dict[str, Any]) -> str:

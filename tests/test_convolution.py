@@ -109,7 +109,7 @@ def test_mapped_over_images_and_over_weights(form):
 
 def test_the_form_is_chosen_by_back_end():
     assert fastest_form("cpu") == "winograd"
-    assert fastest_form("cpu", second_order=True) == fastest_form("never heard of") == "patches"
+    assert fastest_form("cpu", adapted=True) == fastest_form("never heard of") == "patches"
     assert fastest_form() in FORMS
 
 

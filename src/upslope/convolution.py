@@ -131,13 +131,13 @@ FORMS: dict[str, Callable[[Images, Kernel], Images]] = {
 FASTEST: dict[str, Convolution] = {"cpu": "winograd"}
 
 
-def fastest_form(backend: str | None = None, *, second_order: bool = False) -> Convolution:
+def fastest_form(backend: str | None = None, *, adapted: bool = False) -> Convolution:
     """The form of the convolution to use on a back end; JAX's default one if None.
 
-    Where nothing was measured yet, and for gradients through gradients, that is one product with patches: it batches
-    well everywhere.
+    Where nothing was measured yet, and for networks whose weights each task adapts by a gradient step, that is one
+    product with patches: it batches well everywhere.
     """
-    return "patches" if second_order else FASTEST.get(backend or jax.default_backend(), "patches")
+    return "patches" if adapted else FASTEST.get(backend or jax.default_backend(), "patches")
 
 
 #: Bits that are left of a factor's mantissa; sums are float32 in any case.

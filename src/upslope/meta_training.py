@@ -97,7 +97,7 @@ class MetaTraining(AbstractTaskLearner):
             family.observation_scale,
             config.activation,
         )
-        form = fastest_form(second_order=config.outer_target == "kept" and not config.first_order)
+        form = fastest_form(adapted=config.posterior == "network")
         theta = with_convolutions(theta, config.precision, form)
         acting = theta if self.family.on_host else None
         return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta), acting)
