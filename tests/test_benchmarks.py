@@ -6,9 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 import benchmarks
+import pytest
 from benchmarks import harness
 
 ROOT = Path(__file__).parents[1]
