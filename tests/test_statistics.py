@@ -131,13 +131,20 @@ class TestPairedDifference:
         assert (difference.mean, difference.low, difference.high) == (3.0, 3.0, 3.0)
 
     def test_the_interval_is_over_tasks(self):
-        # Seeds and evaluations cancel out: of four tasks one is better by 4, so a resample's mean is 0, 1, 2, 3 or 4.
+        # Seeds and evaluations are alike: of four tasks one is better by 4, so a resample's mean is 0, 1, 2, 3 or 4.
         ours = EIGHT.copy()
         ours[:, 2] += 4
         difference = paired_difference(ours, EIGHT)
         assert difference.mean == 1.0
         assert difference.low == 0.0
         assert difference.high == 3.0
+
+    def test_the_interval_is_over_seeds_too(self):
+        # Of two seeds one is better by 4 on every task: a resample's mean is 0, 2 or 4.
+        ours = EIGHT.copy()
+        ours[1] += 4
+        difference = paired_difference(ours, EIGHT)
+        assert (difference.mean, difference.low, difference.high) == pytest.approx((2.0, 0.0, 4.0))
 
     def test_it_covers_the_truth_about_as_often_as_it_says(self):
         rng = np.random.default_rng(1)

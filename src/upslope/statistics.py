@@ -78,12 +78,15 @@ class Difference(NamedTuple):
 def paired_difference(ours: Scores, theirs: Scores, *, samples: int = 2000, seed: int = 0) -> Difference:
     """Ours less theirs, mean over all runs and evaluations; the two share seeds and tasks.
 
-    The interval is of a bootstrap over tasks: what other tasks might have shown with the same seeds.
+    The interval is of a bootstrap over tasks and over seeds: what other tasks and other priors might have shown.
     """
-    of_tasks = (np.asarray(ours, float) - np.asarray(theirs, float)).mean(axis=(0, 2))
-    drawn = np.random.default_rng(seed).integers(of_tasks.size, size=(samples, of_tasks.size))
-    low, high = np.percentile(of_tasks[drawn].mean(axis=1), [2.5, 97.5])
-    return Difference(float(of_tasks.mean()), float(low), float(high))
+    of_runs = (np.asarray(ours, float) - np.asarray(theirs, float)).mean(axis=2)
+    rng = np.random.default_rng(seed)
+    # How often each is drawn, as a share: a resample's mean is then a product with the table of differences.
+    seeds, tasks = (rng.multinomial(n, np.full(n, 1 / n), size=samples) / n for n in of_runs.shape)
+    resampled = np.einsum("bs,st,bt->b", seeds, of_runs, tasks)
+    low, high = np.percentile(resampled, [2.5, 97.5])
+    return Difference(float(of_runs.mean()), float(low), float(high))
 
 
 def first_at_least(updates: np.ndarray, curve: Curve, threshold: float) -> int | None:

@@ -15,7 +15,7 @@ from upslope.agents.fine_tuning import FineTuning
 from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_per_task
 from upslope.experiments.priors import Priors
-from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of
+from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of, differences
 from upslope.networks import DuelingQ
 from upslope.run.loop import run
 from upslope.run.outcome import Outcome
@@ -50,7 +50,7 @@ class AdaptationPanel:
 
     stops: tuple[int, ...] = (75, 100, 125, 150, 500)
     updates: int = 20
-    step_sizes: tuple[float, ...] = (3e-4, 1e-3, 2e-3, 4e-3, 8e-3)
+    step_sizes: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 2e-3, 4e-3)
     start: float = 150.0
     average: Literal["median", "mean"] = "median"
 
@@ -80,37 +80,47 @@ def adaptation_panel(
     """
     starts = jax.tree.map(lambda *leaves: np.stack(leaves), *[priors.stopped_at(stop) for stop in panel.stops])
     count = jax.tree.leaves(tasks)[0].shape[0]
+    tuning = Tuning(panel.step_sizes, count)
     tuning_tasks = (family if tuning_family is None else tuning_family).sample_many(
-        key_for(first_seed, Purpose.TUNING_TASKS), count
+        key_for(first_seed, Purpose.TUNING_TASKS), tuning.learners
     )
     found: dict[str, dict[str, Arm]] = {str(stop): {} for stop in panel.stops}
     zero_shot = np.zeros(len(panel.stops))
     compiling = running = 0.0
 
-    def adapt_all(number: int, tasks: Task, sizes: Sizes, purpose: Purpose, title: str) -> Outcome:
-        learners = adaptation_learners(family, starts, one_of(rules, number), config, tasks, sizes)
-        keys = adaptation_keys(first_seed, purpose, learners)
+    def adapt_all(learners: Adaptation, keys: Keys, title: str) -> Outcome:
         return run(learners, keys, updates=panel.updates, every=1, title=title, session=session, allow_divergence=True)
 
     for number, name in enumerate(rules):
-        # Learner t of the tuning runs tries step size t mod S on tuning task t: the test runs' shape, so one program.
-        sizes = np.asarray([panel.step_sizes[t % len(panel.step_sizes)] for t in range(count)])
-        tried = np.broadcast_to(sizes, (len(panel.stops), count))
-        tuning = adapt_all(number, tuning_tasks, tried, Purpose.TUNING, f"tuning {name}")
-        scores = np.asarray(tuning.reports["return"])
+        rule = one_of(rules, number)
+        tried = np.broadcast_to(tuning.sizes, (len(panel.stops), tuning.learners))
+        learners = adaptation_learners(family, starts, rule, config, tuning.of_tasks(tuning_tasks), tried)
+        keys = adaptation_keys(first_seed, Purpose.TUNING, learners)
+        tuned = adapt_all(learners, tuning.of_keys(keys), f"tuning {name}")
+        scores = tuning.by_size(np.asarray(tuned.reports["return"]))
         if number == 0:
             average = np.median if panel.average == "median" else np.mean
-            zero_shot = average(scores[..., 0], axis=(1, 2))
-        best = _best_sizes(scores, panel.step_sizes)
-        chosen = np.broadcast_to(np.asarray(best)[:, None], (len(panel.stops), count))
-        test = adapt_all(number, tasks, chosen, Purpose.LEFT, name)
+            zero_shot = average(scores[..., 0, 0], axis=(1, 2))
+        means = scores.mean(axis=(1, 2, 4))
+        best = np.asarray(panel.step_sizes)[means.argmax(axis=1)]
+        chosen = np.broadcast_to(best[:, None], (len(panel.stops), count))
+        learners = adaptation_learners(family, starts, rule, config, tasks, chosen)
+        test = adapt_all(learners, adaptation_keys(first_seed, Purpose.LEFT, learners), name)
         for index, stop in enumerate(panel.stops):
             of_stop = {measure: values[index] for measure, values in test.reports.items()}
-            found[str(stop)][name] = arm_of(test.updates, of_stop, score, {"step_size": best[index]})
-        compiling += tuning.seconds_compiling + test.seconds_compiling
-        running += tuning.seconds_running + test.seconds_running
+            on_tuning_tasks = {
+                f"{size:g}": float(mean) for size, mean in zip(panel.step_sizes, means[index], strict=True)
+            }
+            notes = {"step_size": float(best[index]), "means_on_tuning_tasks": on_tuning_tasks}
+            found[str(stop)][name] = arm_of(test.updates, of_stop, score, notes)
+        compiling += tuned.seconds_compiling + test.seconds_compiling
+        running += tuned.seconds_running + test.seconds_running
     shown = str(panel.stops[int(np.abs(zero_shot - panel.start).argmin())])
-    notes = {"stop": int(shown), "zero_shot_on_tuning_tasks": dict(zip(found, zero_shot.tolist(), strict=True))}
+    notes = {
+        "stop": int(shown),
+        "zero_shot_on_tuning_tasks": dict(zip(found, zero_shot.tolist(), strict=True)),
+        "algorithm2_less": {stop: differences(arms, "algorithm2") for stop, arms in found.items()},
+    }
     title = f"Adaptation, Algorithm 1 stopped at {shown}"
     return Panel(title, found[shown], compiling, running, variants=found, notes=notes)
 
@@ -147,7 +157,37 @@ def adaptation_keys(first_seed: int, purpose: Purpose, learners: Adaptation) -> 
     return jnp.broadcast_to(keys_per_task(first_seed, seeds, count, purpose), (stops, seeds, count))
 
 
-def _best_sizes(scores: np.ndarray, step_sizes: tuple[float, ...]) -> list[float]:
-    """For each stop, the step size with the highest mean return over seeds, its tuning tasks and all updates."""
-    means = np.stack([scores[:, :, index :: len(step_sizes)].mean(axis=(1, 2, 3)) for index in range(len(step_sizes))])
-    return [step_sizes[index] for index in means.argmax(axis=0)]
+class Tuning:
+    """Which tuning run tries what: every step size on the same tasks, with the same keys.
+
+    The runs have the shape of the test runs, so that one program serves both; those left over are not counted.
+
+    Attributes:
+        learners: as many as test tasks; or as step sizes, where those are more.
+        task: the number of each learner's tuning task ``[learners]``.
+        sizes: its step size ``[learners]``.
+    """
+
+    def __init__(self, step_sizes: tuple[float, ...], test_tasks: int):
+        self._count = len(step_sizes)
+        self.learners = max(test_tasks, self._count)
+        number = np.arange(self.learners)
+        self.task = number // self._count
+        self.sizes = np.asarray(step_sizes)[number % self._count]
+
+    def of_tasks(self, tasks: Task) -> Task:
+        """Each learner's task ``[learners, ...]``."""
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[self.task], tasks)
+
+    def of_keys(self, keys: Keys) -> Keys:
+        """Each learner's key ``[stops, seeds, learners]``, from one for each task."""
+        words = np.asarray(jax.random.key_data(keys))[..., self.task, :]
+        return jax.random.wrap_key_data(jnp.asarray(words))
+
+    def by_size(
+        self, scores: Float[np.ndarray, "stops seeds learners evaluations"]
+    ) -> Float[np.ndarray, "stops seeds tasks sizes evaluations"]:
+        """The scores of the runs that count, told apart by task and step size."""
+        stops, seeds, _, evaluations = scores.shape
+        whole = self.learners // self._count
+        return scores[:, :, : whole * self._count].reshape(stops, seeds, whole, self._count, evaluations)

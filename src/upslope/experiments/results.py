@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from upslope.run.compiling import CompileClock
 from upslope.run.machine import hardware, versions
-from upslope.statistics import bootstrap, first_at_least, quartiles
+from upslope.statistics import bootstrap, first_at_least, paired_difference, quartiles
 from upslope.storage import write_atomically
 
 
@@ -69,6 +69,15 @@ class Arm:
         }
         others = {name: _curves(values) for name, values in self.others.items()}
         return {"updates": self.updates.tolist(), **curves, **goals, **self.notes, **others}
+
+
+def differences(arms: dict[str, Arm], name: str) -> dict[str, dict[str, float]]:
+    """By how much one arm's mean over all evaluations is above each of the others'; none if it has no part."""
+    if name not in arms:
+        return {}
+    ours = arms[name].returns
+    others = {other: arm.returns for other, arm in arms.items() if other != name}
+    return {other: paired_difference(ours, returns)._asdict() for other, returns in others.items()}
 
 
 def arm_of(updates: np.ndarray, reports: dict[str, Any], score: Score, notes: dict[str, Any] | None = None) -> Arm:

@@ -17,13 +17,12 @@ from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps
 from upslope.experiments.maps.priors import families
 from upslope.experiments.maps.readings import Maps, quick_reading, stage
 from upslope.experiments.priors import Priors, describe_priors, meta_train_priors
-from upslope.experiments.results import SUCCESS, FigureResult, Panel
+from upslope.experiments.results import SUCCESS, FigureResult, Panel, differences
 from upslope.experiments.shaping_panel import shaping_panel
 from upslope.measures import measure_all, truths
 from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
-from upslope.statistics import paired_difference
 from upslope.tasks import JaxTasks
 from upslope.types import Task
 
@@ -59,7 +58,7 @@ class GridFigureConfig:
     multi_task: MetaTrainingConfig = field(default_factory=multi_task_dqn)
     panel: AdaptationPanel = field(
         default_factory=lambda: AdaptationPanel(
-            stops=(1500, 3000, 6000), updates=20, step_sizes=(0.003, 0.01, 0.03, 0.1), start=0.5, average="mean"
+            stops=(1500, 3000, 6000), updates=20, step_sizes=(0.001, 0.003, 0.01, 0.03), start=0.5, average="mean"
         )
     )
     adaptation: AdaptationConfig = field(default_factory=adaptation.for_maps)
@@ -132,7 +131,9 @@ def grid_figure(
                 session=session,
                 score=SUCCESS,
             )
-            finished["right"] = replace(finished["right"], notes={"prior_less": _differences(finished["right"])})
+            finished["right"] = replace(
+                finished["right"], notes={"prior_less": differences(finished["right"].arms, "prior")}
+            )
         if "left" in panels:
             left = adaptation_panel(
                 unseen,
@@ -162,13 +163,6 @@ def grid_figure(
         seconds_compiling=clock.seconds,
         seconds_running=clock.seconds_running,
     )
-
-
-def _differences(panel: Panel) -> dict[str, dict[str, float]]:
-    """How much more often runs shaped by the prior have succeeded, over all evaluations, than those of other arms."""
-    ours = panel.arms["prior"].returns
-    others = ((name, arm.returns) for name, arm in panel.arms.items() if name != "prior")
-    return {name: paired_difference(ours, returns)._asdict() for name, returns in others}
 
 
 def _describe(family: JaxTasks, tasks: Task, priors: Priors, control: Priors, first_seed: int) -> list[dict[str, Any]]:
