@@ -182,7 +182,7 @@ class Tuning:
     def of_keys(self, keys: Keys) -> Keys:
         """Each learner's key ``[stops, seeds, learners]``, from one for each task."""
         words = np.asarray(jax.random.key_data(keys))[..., self.task, :]
-        return jax.random.wrap_key_data(jnp.asarray(words))
+        return jax.random.wrap_key_data(jax.device_put(words))
 
     def by_size(
         self, scores: Float[np.ndarray, "stops seeds learners evaluations"]
