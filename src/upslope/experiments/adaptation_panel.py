@@ -85,22 +85,26 @@ def adaptation_panel(
         key_for(first_seed, Purpose.TUNING_TASKS), tuning.learners
     )
     found: dict[str, dict[str, Arm]] = {str(stop): {} for stop in panel.stops}
-    zero_shot = np.zeros(len(panel.stops))
-    compiling = running = 0.0
+    tried = np.broadcast_to(tuning.sizes, (len(panel.stops), tuning.learners))
+    outcomes: list[Outcome] = []
 
-    def adapt_all(learners: Adaptation, keys: Keys, title: str) -> Outcome:
-        return run(learners, keys, updates=panel.updates, every=1, title=title, session=session, allow_divergence=True)
+    def adapt_all(learners: Adaptation, keys: Keys, title: str, updates: int = panel.updates) -> Outcome:
+        outcomes.append(
+            run(learners, keys, updates=updates, every=1, title=title, session=session, allow_divergence=True)
+        )
+        return outcomes[-1]
 
+    # The report before the first update is what counts here; a run has one at least.
+    learners = adaptation_learners(family, starts, one_of(rules, 0), config, tuning_tasks, tried)
+    keys = adaptation_keys(first_seed, Purpose.TUNING, learners)
+    before = np.asarray(adapt_all(learners, keys, "before adaptation", updates=1).reports["return"])[..., 0]
+    zero_shot = (np.median if panel.average == "median" else np.mean)(before, axis=(1, 2))
+    shown = str(panel.stops[int(np.abs(zero_shot - panel.start).argmin())])
     for number, name in enumerate(rules):
         rule = one_of(rules, number)
-        tried = np.broadcast_to(tuning.sizes, (len(panel.stops), tuning.learners))
         learners = adaptation_learners(family, starts, rule, config, tuning.of_tasks(tuning_tasks), tried)
-        keys = adaptation_keys(first_seed, Purpose.TUNING, learners)
         tuned = adapt_all(learners, tuning.of_keys(keys), f"tuning {name}")
         scores = tuning.by_size(np.asarray(tuned.reports["return"]))
-        if number == 0:
-            average = np.median if panel.average == "median" else np.mean
-            zero_shot = average(scores[..., 0, 0], axis=(1, 2))
         means = scores.mean(axis=(1, 2, 4))
         best = np.asarray(panel.step_sizes)[means.argmax(axis=1)]
         chosen = np.broadcast_to(best[:, None], (len(panel.stops), count))
@@ -113,15 +117,14 @@ def adaptation_panel(
             }
             notes = {"step_size": float(best[index]), "means_on_tuning_tasks": on_tuning_tasks}
             found[str(stop)][name] = arm_of(test.updates, of_stop, score, notes)
-        compiling += tuned.seconds_compiling + test.seconds_compiling
-        running += tuned.seconds_running + test.seconds_running
-    shown = str(panel.stops[int(np.abs(zero_shot - panel.start).argmin())])
     notes = {
         "stop": int(shown),
         "zero_shot_on_tuning_tasks": dict(zip(found, zero_shot.tolist(), strict=True)),
         "algorithm2_less": {stop: differences(arms, "algorithm2") for stop, arms in found.items()},
     }
     title = f"Adaptation, Algorithm 1 stopped at {shown}"
+    compiling = sum(outcome.seconds_compiling for outcome in outcomes)
+    running = sum(outcome.seconds_running for outcome in outcomes)
     return Panel(title, found[shown], compiling, running, variants=found, notes=notes)
 
 
