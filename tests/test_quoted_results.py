@@ -28,6 +28,15 @@ def test_readme_row(panel: str, arm: str, mean: str, first: str, quartile: str) 
     assert quartile == f"{measured['q1'][-1]:.0f}"
 
 
+def test_algorithm_2_against_maml() -> None:
+    left, text = FIGURE["panels"]["left"], " ".join(README.split())
+    less = left["algorithm2_less"][str(left["stop"])]["maml"]
+    assert f"by {less['mean']:.0f} ({less['low']:.0f} to {less['high']:.0f}; 95 %" in text
+    for stop in ("75", "100", "125", "150"):
+        ours, theirs = (left["variants"][stop][name]["q1"][-1] for name in ("algorithm2", "maml"))
+        assert re.search(rf"{ours:.0f} against {theirs:.0f} \((from )?{stop}", text), stop
+
+
 def test_the_figure_is_the_full_one_at_the_papers_seeds() -> None:
     assert FIGURE["quick"] is False
     assert [row["seed"] for row in FIGURE["priors"]] == [0, 1, 2, 3, 4]
