@@ -123,6 +123,24 @@ def test_it_is_run_written_and_told(sessions, tmp_path):
     assert not session.checkpoints.final_states
 
 
+def test_what_can_be_seen_before_the_end_is_shown_where_progress_is(sessions, tmp_path, monkeypatch, capsys):
+    def run(plan, session):
+        session.show({"so far": 1})
+        return {"seeds": 2}
+
+    def show(results, folder, console):
+        console.print(results["so far"], "of it in", folder.name)
+
+    silent = replace(EXPERIMENTS["stub"], run=run)
+    monkeypatch.setitem(EXPERIMENTS, "silent", silent)
+    monkeypatch.setitem(EXPERIMENTS, "shown", replace(silent, show=show))
+    for name, said in (("silent", ""), ("shown", "1 of it in shown\n")):
+        summary = Console(record=True, file=io.StringIO())
+        reproduce(name, out=tmp_path / name, console=summary)
+        assert capsys.readouterr().err == said
+        assert summary.export_text() == f"2 seeds in {name}\n"
+
+
 def test_it_goes_on_with_the_same_settings_only(sessions, tmp_path):
     for resume in (False, True):
         reproduce("stub", out=tmp_path, resume=resume, console=Console(quiet=True))

@@ -19,6 +19,7 @@ from upslope.experiments.poles.figure1 import Figure1Config, figure1
 from upslope.experiments.report import findings, print_summary, write_report
 from upslope.experiments.results import FigureResult, write_results
 from upslope.recipes import MetaTrainingConfig
+from upslope.run.session import Session
 
 SHAPING_ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "oracle"]
 SMALL_PROGRAMS = 40
@@ -44,14 +45,26 @@ def compiled() -> Counter[str]:
 
 
 @pytest.fixture(scope="module")
-def result(compiled: Counter[str]) -> FigureResult:
+def shown() -> list[FigureResult]:
+    """What could be seen of `result` before it was finished."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(compiled: Counter[str], shown: list[FigureResult], tmp_path_factory: pytest.TempPathFactory) -> FigureResult:
+    folder = tmp_path_factory.mktemp("growing")
+
+    def show(so_far: FigureResult) -> None:
+        draw(so_far, folder)
+        shown.append(so_far)
+
     def listen(event: str, _: float, fun_name: str = "", **__: object) -> None:
         if event == "/jax/core/compile/backend_compile_duration":
             compiled[fun_name.removeprefix("jit(").removesuffix(")")] += 1
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
-        return figure1(TINY, is_quick=True)
+        return figure1(TINY, is_quick=True, session=Session(show=show))
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
 
@@ -81,6 +94,16 @@ def test_one_program_serves_all_arms_seeds_and_repeats(result: FigureResult, com
     assert compiled["mean_levels"] <= 1
     # What is left is single operations outside of any program, some hundredths of a second each.
     assert sum(compiled.values()) <= SMALL_PROGRAMS + 12
+
+
+def test_it_can_be_seen_after_each_panel_but_the_last(result: FigureResult, shown: list[FigureResult]) -> None:
+    seen = [(list(so_far.panels), so_far.to_come) for so_far in shown]
+    assert seen == [(["left"], ("middle", "right")), (["left", "middle"], ("right",))]
+    assert result.to_come == ()
+    for so_far in shown:
+        assert all(panel is result.panels[name] for name, panel in so_far.panels.items())
+        assert so_far.quick
+        np.testing.assert_array_equal(so_far.training["returns"], result.training["returns"])
 
 
 def test_every_arm_of_every_panel_is_there(folder: Path) -> None:
@@ -164,8 +187,10 @@ def test_arms_share_their_start(result: FigureResult) -> None:
 
 
 def test_other_seeds_move_the_test_tasks(result: FigureResult) -> None:
-    moved = figure1(replace(TINY, first_seed=7), panels=("middle",))
+    shown: list[FigureResult] = []
+    moved = figure1(replace(TINY, first_seed=7), panels=("middle",), session=Session(show=shown.append))
     assert list(moved.panels) == ["middle"]
+    assert not shown, "a single panel is seen when all is done"
     ours, theirs = result.panels["middle"].arms["unshaped"], moved.panels["middle"].arms["unshaped"]
     assert not np.array_equal(ours.returns, theirs.returns)
 

@@ -18,6 +18,7 @@ from upslope.experiments.adaptation_panel import RULES, AdaptationPanel
 from upslope.experiments.maps.figures import GridFigureConfig, grid_figure, quick_grid_figure, with_iterations
 from upslope.experiments.maps.priors import families
 from upslope.recipes import for_grid_games, multi_task_dqn
+from upslope.run.session import Session
 from upslope.tasks.grid_maps import is_test_map
 
 ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "multi_task_dqn", "manhattan", "oracle"]
@@ -135,7 +136,11 @@ class TestRun:
                 np.testing.assert_array_equal(returns[f"{panel}/{arm}"][..., 0], first)
 
     def test_the_same_again_gives_the_same_bits(self, folder):
-        again = grid_figure(TINY)
+        shown = []
+        again = grid_figure(TINY, session=Session(show=shown.append))
+        assert [(list(so_far.panels), so_far.to_come) for so_far in shown] == [(["right"], ("left",))]
+        assert shown[0].panels["right"] is again.panels["right"]
+        assert (list(again.panels), again.to_come) == (["left", "right"], ())
         returns = np.load(folder / "returns.npz")
         for name, panel in again.panels.items():
             for arm, curves in panel.arms.items():

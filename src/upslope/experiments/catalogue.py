@@ -1,6 +1,7 @@
 """Which experiments there are, and how one is reproduced: run, written, drawn, told."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,9 @@ def reproduce(
         if priors_of is not None:
             adopt(plan.trainings, priors_of, folder)
         session = session_in(folder, resume=resume or priors_of is not None, final_states=False)
+        if (show := chosen.show) is not None:
+            progress = Console(stderr=True)  # where progress bars are; what is said at the end goes elsewhere
+            session = replace(session, show=lambda results: show(results, folder, progress))
         results = chosen.run(plan, session)
         chosen.write(results, folder)
     chosen.tell(results, folder, console or Console())

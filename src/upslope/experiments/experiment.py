@@ -76,6 +76,8 @@ class Experiment(Generic[Settings, Results]):
             number is fixed.
         panels: that it has; none where it is no figure with panels.
         trainings: titles of those that another figure begins with too; None where there are none.
+        show: writes a picture of results that are not complete yet, and says on a console where; None where there
+            is nothing to be seen before the end.
     """
 
     full: Callable[[], Settings]
@@ -86,6 +88,7 @@ class Experiment(Generic[Settings, Results]):
     with_iterations: Callable[[int], Settings] | None = None
     panels: tuple[PanelName, ...] = ()
     trainings: Callable[[Settings], tuple[str, ...]] | None = None
+    show: Callable[[Results, Path, Console], None] | None = None
 
     def plan(self, name: str, options: Options) -> Plan[Settings]:
         """What is to be run.

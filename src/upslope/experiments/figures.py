@@ -42,7 +42,15 @@ def _tell(result: FigureResult, folder: Path, console: Console) -> None:
     console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; the picture is {folder / 'figure.png'}.")
 
 
-FIGURE_1 = Experiment(Figure1Config, quick, _run_on_poles, _write, _tell, panels=PANELS)
+def _show(result: FigureResult, folder: Path, console: Console) -> None:
+    if (folder / "results.json").exists():
+        return  # a finished figure, made anew from its checkpoints, keeps the whole picture
+    draw(result, folder)
+    newest = list(result.panels)[-1]
+    console.print(f"The {newest} panel is done: {folder / 'figure.png'} shows it.", highlight=False, soft_wrap=True)
+
+
+FIGURE_1 = Experiment(Figure1Config, quick, _run_on_poles, _write, _tell, panels=PANELS, show=_show)
 
 
 def figure_on(maps: Maps) -> Experiment[GridFigureConfig, FigureResult]:
@@ -57,4 +65,5 @@ def figure_on(maps: Maps) -> Experiment[GridFigureConfig, FigureResult]:
         with_iterations=lambda iterations: with_iterations(full(), iterations),
         panels=GRID_PANELS,
         trainings=lambda settings: stages(settings.maps),
+        show=_show,
     )

@@ -1,14 +1,19 @@
 """The pictures of a figure."""
 
+import io
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from upslope.experiments.experiment import PANELS
 from upslope.experiments.results import Arm, FigureResult, Panel, Score
+from upslope.statistics import quartiles
+from upslope.storage import write_atomically
 
 #: What each arm is called and drawn with; dashed arms are references, dotted ones are not policy-invariant.
 STYLES: dict[str, tuple[str, str, str]] = {
@@ -30,36 +35,55 @@ STYLES: dict[str, tuple[str, str, str]] = {
 
 
 def draw(result: FigureResult, folder: Path) -> None:
-    """Writes figure.png and figure.pdf: one row of panels, and one of how the left panel depends on the prior."""
+    """Writes figure.png and figure.pdf: one row of panels, and one of how the left panel depends on the prior.
+
+    Of a figure with panels to come only figure.png, with room left for them: whoever looks sees it grow.
+
+    Raises:
+        NotSavedError: the disk is full, or the folder is gone or read-only; an older picture is intact.
+    """
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         figure = _figure(result)
-        figure.savefig(folder / "figure.png", dpi=150)
-        figure.savefig(folder / "figure.pdf")
+        for kind in ("png",) if result.to_come else ("png", "pdf"):
+            drawn = io.BytesIO()
+            figure.savefig(drawn, format=kind, dpi=150)
+            write_atomically(folder / f"figure.{kind}", drawn.getvalue())
         plt.close(figure)
 
 
 def _figure(result: FigureResult) -> Figure:
-    count = len(result.panels)
-    has_left = "left" in result.panels
+    names = [name for name in PANELS if name in result.panels or name in result.to_come]
+    has_left = "left" in names
     has_discounted = all(
         "discounted_return" in arm.others for panel in result.panels.values() for arm in panel.arms.values()
     )
     rows = 1 + has_left + has_discounted
-    figure, axes = plt.subplots(rows, count, figsize=(5.2 * count, 4.2 * rows), squeeze=False, layout="constrained")
-    for axis, panel in zip(axes[0], result.panels.values(), strict=True):
-        draw_panel(axis, panel)
-    if has_discounted:
-        for axis, panel in zip(axes[-1], result.panels.values(), strict=True):
-            draw_discounted(axis, panel)
+    size = (5.2 * len(names), 4.5 * rows)
+    figure, axes = plt.subplots(rows, len(names), figsize=size, squeeze=False, layout="constrained")
+    for axis in axes.ravel():
+        axis.axis("off")
+    for column, name in enumerate(names):
+        if name not in result.panels:
+            axes[0, column].text(0.5, 0.5, f"the {name} panel is to come", ha="center", color="#878787")
+            continue
+        draw_panel(_shown(axes[0, column]), result.panels[name])
+        if has_discounted:
+            draw_discounted(_shown(axes[-1, column]), result.panels[name])
     if has_left:
-        for axis in axes[1]:
-            axis.axis("off")
-        for axis, draw_one in zip(axes[1], (draw_training, _draw_gains, _draw_steadiness), strict=False):
-            axis.axis("on")
-            draw_one(axis, result)
+        about_left = (draw_training, _draw_gains, _draw_steadiness) if "left" in result.panels else (draw_training,)
+        for axis, draw_one in zip(axes[1], about_left, strict=False):
+            draw_one(_shown(axis), result)
+    said = ["Not finished yet"] if result.to_come else []
     if result.quick:
-        figure.suptitle("Quick form: too few seeds, tasks and updates to say anything about the paper", color="#b2182b")
+        said.append("Quick form: too few seeds, tasks and updates to say anything about the paper")
+    if said:
+        figure.suptitle("\n".join(said), color="#b2182b")
     return figure
+
+
+def _shown(axis: Axes) -> Axes:
+    axis.axis("on")
+    return axis
 
 
 def _draw_gains(axis: Axes, result: FigureResult) -> None:
@@ -76,20 +100,30 @@ def _draw_steadiness(axis: Axes, result: FigureResult) -> None:
 
 def draw_panel(axis: Axes, panel: Panel) -> None:
     """Every arm over its updates: medians with the quartiles shaded, or interquartile means with their intervals."""
-    middle, low, high = _BANDS[panel.score.curves]
-    for name, arm in panel.arms.items():
-        _draw_curve(axis, name, arm.updates, *(arm.summary[line] for line in (middle, low, high)))
-    spread = "median, quartiles" if middle == "median" else "interquartile mean, 95 %"
-    axis.set(title=panel.title, xlabel="updates", ylabel=f"{panel.score.name} ({spread})", ylim=_limits(panel.score))
-    axis.legend(frameon=False, fontsize=7, loc="lower right")
+    _draw_curves(axis, panel, panel.score.name, lambda arm: arm.summary)
+    axis.set_ylim(_limits(panel.score))
 
 
 def draw_discounted(axis: Axes, panel: Panel) -> None:
-    """Discounted returns, which tell short ways from long ones: medians with the quartiles shaded."""
-    for name, arm in panel.arms.items():
-        curves = arm.summary["discounted_return"]
-        _draw_curve(axis, name, arm.updates, curves["median"], curves["q1"], curves["q3"])
-    axis.set(title=panel.title, xlabel="updates", ylabel="discounted return (median, quartiles)", ylim=(0, 1.03))
+    """Discounted returns, which tell short ways from long ones, summed up as the panel's scores are."""
+    _draw_curves(axis, panel, "discounted return", lambda arm: arm.summary["discounted_return"])
+    axis.set_ylim(bottom=0)
+
+
+def _draw_curves(axis: Axes, panel: Panel, name: str, curves: Callable[[Arm], dict[str, Any]]) -> None:
+    middle, low, high = _BANDS[panel.score.curves]
+    for arm_name, arm in panel.arms.items():
+        _draw_curve(axis, arm_name, arm.updates, *(curves(arm)[line] for line in (middle, low, high)))
+    spread = "median, quartiles" if middle == "median" else "interquartile mean, 95 %"
+    axis.set(title=panel.title, xlabel="updates", ylabel=f"{name} ({spread})")
+    _legend(axis)
+
+
+
+def _legend(axis: Axes) -> None:
+    """Below the axes: within them it would lie over some curve."""
+    narrow: dict[str, Any] = {"columnspacing": 1.2, "handlelength": 1.6, "handletextpad": 0.6}
+    axis.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, **narrow)
 
 
 _BANDS = {"median": ("median", "q1", "q3"), "iqm": ("iqm", "iqm_low", "iqm_high")}
@@ -118,7 +152,7 @@ def draw_training(axis: Axes, result: FigureResult) -> None:
         ylabel=f"zero-shot {score.name}",
         ylim=_limits(score),
     )
-    axis.legend(frameon=False, fontsize=7, loc="lower right")
+    _legend(axis)
 
 
 def draw_starts(axis: Axes, panel: Panel, measure: Callable[[Arm], float]) -> None:
@@ -129,7 +163,7 @@ def draw_starts(axis: Axes, panel: Panel, measure: Callable[[Arm], float]) -> No
         heights = [measure(arms[name]) for arms in panel.variants.values()]
         axis.plot(stops, heights, line, color=colour, marker="o", markersize=3, label=label, linewidth=1.4)
     axis.set(xlabel="Algorithm 1 stopped at iteration")
-    axis.legend(frameon=False, fontsize=7)
+    _legend(axis)
 
 
 def _gain(arm: Arm) -> float:
@@ -137,4 +171,4 @@ def _gain(arm: Arm) -> float:
 
 
 def _late_lower_quartile(arm: Arm) -> float:
-    return float(np.mean(arm.summary["q1"][-5:]))
+    return float(np.mean(quartiles(arm.returns).q1[-5:]))

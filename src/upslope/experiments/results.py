@@ -141,6 +141,7 @@ class FigureResult:
         quick: whether this was the quick form, which says nothing about the paper.
         seconds_compiling: of the whole figure.
         seconds_running: of the whole figure.
+        to_come: names of the panels that are still to be made; none once it is finished.
     """
 
     name: str
@@ -151,6 +152,7 @@ class FigureResult:
     quick: bool
     seconds_compiling: float
     seconds_running: float
+    to_come: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The content of results.json."""

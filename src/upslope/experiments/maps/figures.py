@@ -108,9 +108,31 @@ def grid_figure(
     is_quick: bool = False,
     session: Session | None = None,
 ) -> FigureResult:
-    """Runs the panels asked for, the right one first. The same configuration gives the same returns on one machine."""
+    """Runs the panels asked for, the right one first. The same configuration gives the same returns on one machine.
+
+    Where the left one is to come, the session is shown the right one; the priors are not described yet.
+    """
     finished: dict[str, Panel] = {}
     seed = config.first_seed
+
+    def figure(rows: list[dict[str, Any]]) -> FigureResult:
+        return FigureResult(
+            name="fig3" if config.maps == "clean" else "fig5",
+            panels=dict(finished),
+            priors=rows,
+            training={
+                "iterations": priors.iterations,
+                "returns": priors.returns,
+                "chosen": priors.chosen,
+                "multi_task_returns": control.returns,
+            },
+            configuration=asdict(config),
+            quick=is_quick,
+            seconds_compiling=clock.seconds,
+            seconds_running=clock.seconds_running,
+            to_come=tuple(panel for panel in GRID_PANELS if panel in panels and panel not in finished),
+        )
+
     with compile_clock() as clock:
         family, unseen = families(config.maps)
         tasks = unseen.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
@@ -134,6 +156,8 @@ def grid_figure(
             finished["right"] = replace(
                 finished["right"], notes={"prior_less": differences(finished["right"].arms, "prior")}
             )
+            if session is not None and "left" in panels:
+                session.show(figure([]))
         if "left" in panels:
             left = adaptation_panel(
                 unseen,
@@ -148,21 +172,7 @@ def grid_figure(
             )
             finished = {"left": left, **finished}
         rows = _describe(unseen, tasks, priors, control, seed)
-    return FigureResult(
-        name="fig3" if config.maps == "clean" else "fig5",
-        panels=finished,
-        priors=rows,
-        training={
-            "iterations": priors.iterations,
-            "returns": priors.returns,
-            "chosen": priors.chosen,
-            "multi_task_returns": control.returns,
-        },
-        configuration=asdict(config),
-        quick=is_quick,
-        seconds_compiling=clock.seconds,
-        seconds_running=clock.seconds_running,
-    )
+    return figure(rows)
 
 
 def _describe(family: JaxTasks, tasks: Task, priors: Priors, control: Priors, first_seed: int) -> list[dict[str, Any]]:

@@ -107,10 +107,33 @@ def figure1(
     is_quick: bool = False,
     session: Session | None = None,
 ) -> FigureResult:
-    """Runs the panels asked for. The same configuration gives bit-identical returns on one machine."""
+    """Runs the panels asked for. The same configuration gives bit-identical returns on one machine.
+
+    After each panel but the last the session is shown the figure so far, whose priors are not described yet.
+    """
     finished: dict[str, Panel] = {}
+
+    def figure(rows: list[dict[str, int | float]]) -> FigureResult:
+        return FigureResult(
+            name="fig1",
+            panels=dict(finished),
+            priors=rows,
+            training={"iterations": priors.iterations, "returns": priors.returns, "chosen": priors.chosen},
+            configuration=asdict(config),
+            quick=is_quick,
+            seconds_compiling=clock.seconds,
+            seconds_running=clock.seconds_running,
+            to_come=tuple(panel for panel in PANELS if panel in panels and panel not in finished),
+        )
+
+    def show() -> None:
+        so_far = figure([])
+        if so_far.to_come:
+            around.show(so_far)
+
+    around = session or Session()
     with compile_clock() as clock, Ahead() as ahead:
-        session = replace(session or Session(), ahead=ahead)
+        session = replace(around, ahead=ahead)
         family = cartpoles(config.length, gamma=config.gamma)
         pushes = cartpoles(config.length, gamma=config.gamma, continuous=True)
         seed = config.first_seed
@@ -119,6 +142,7 @@ def figure1(
         priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session)
         if "left" in panels:
             finished["left"] = adaptation_panel(family, priors, tasks, config.panel, config.adaptation, seed, session)
+            show()
         if "middle" in panels or "right" in panels:
             levels = np.asarray(mean_levels(family, priors.final, key_for(seed, Purpose.LEVEL)))
             best = oracles(family, tasks, config.oracle, seed, session)
@@ -135,6 +159,7 @@ def figure1(
                     every=config.every,
                     session=session,
                 )
+                show()
             if "right" in panels:
                 finished["right"] = shaping_panel(
                     "Shaping only: DDPG",
@@ -149,16 +174,7 @@ def figure1(
                 )
         returns = zero_shot_returns(family, priors.final, tasks, key_for(seed, Purpose.ZERO_SHOT))
         rows = describe_priors(np.asarray(returns), seed)
-    return FigureResult(
-        name="fig1",
-        panels=finished,
-        priors=rows,
-        training={"iterations": priors.iterations, "returns": priors.returns, "chosen": priors.chosen},
-        configuration=asdict(config),
-        quick=is_quick,
-        seconds_compiling=clock.seconds,
-        seconds_running=clock.seconds_running,
-    )
+    return figure(rows)
 
 
 def _compile_ahead(
