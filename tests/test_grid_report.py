@@ -1,17 +1,24 @@
 """What the pages of Figures 3 and 5 say follows from their numbers; no learning is needed to see that."""
 
+import io
 import json
+from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from rich.console import Console
 
+from upslope import storage
+from upslope.errors import NotSavedError
 from upslope.experiments.adaptation_panel import RULES
+from upslope.experiments.figures import figure_on
 from upslope.experiments.plots import draw
-from upslope.experiments.report import findings, panel_rows, print_summary, write_report
+from upslope.experiments.report import columns, findings, panel_rows, print_summary, write_report
 from upslope.experiments.results import SUCCESS, Arm, FigureResult, Panel, arm_of, write_results
 
 ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "multi_task_dqn", "manhattan", "oracle"]
+LESS = {"unshaped": {"mean": 0.5, "low": 0.42, "high": 0.58}, "oracle": {"mean": -0.021, "low": -0.03, "high": -0.01}}
 UPDATES = np.array([0, 25, 50])
 
 
@@ -27,7 +34,7 @@ def result() -> FigureResult:
     left = {name: arm([5, 5, 5], {"step_size": 0.1}) for name in RULES} | {"algorithm2": arm([5, 7, 8])}
     panels = {
         "left": Panel("Adaptation", left, 1.0, 2.0, variants={"10": left, "20": left}),
-        "right": Panel("Shaping only: DQN", right, 1.0, 2.0),
+        "right": Panel("Shaping only: DQN", right, 1.0, 2.0, notes={"prior_less": LESS}),
     }
     prior = {"zero_shot_mean": 0.5, "rank_correlation": 0.9}
     rows = [{"seed": 0, **prior, **{f"multi_task_{name}": value / 2 for name, value in prior.items()}}]
@@ -37,12 +44,13 @@ def result() -> FigureResult:
 
 def test_the_table_has_success_with_two_digits_and_the_first_update_that_solves_most(result):
     rows = {row[0]: row[1:] for row in panel_rows(result.panels["right"])}
-    assert rows["meta-learned prior"] == ("0.00", "1.00", "1.00", "0.500", "25")
-    assert rows["no shaping"] == ("0.00", "0.00", "0.00", "0.000", "never")
+    assert rows["meta-learned prior"] == ("0.00", "1.00", "1.00", "0.500", "0.556 (0.556 to 0.556)", "25")
+    assert rows["no shaping"] == ("0.00", "0.00", "0.00", "0.000", "0.000 (0.000 to 0.000)", "never")
+    assert len(columns(SUCCESS)) == 1 + len(rows["no shaping"])
 
 
 def test_findings(result):
-    priors, left, right = findings(result)
+    priors, left, right, differences = findings(result)
     assert "solve 0.50 of the unseen maps" in priors
     assert "those of multi-task DQN 0.25" in priors
     assert "0.90 and 0.45" in priors
@@ -51,6 +59,10 @@ def test_findings(result):
     assert "over all evaluations is 0.50 against 0.00 without shaping and 0.20 with a constant" in right
     assert "(2.50 times)" in right
     assert "the prior of multi-task DQN 0.20, Manhattan distance 0.20, the oracle 0.20" in right
+    assert differences.startswith("Shaping only: DQN: the prior's mean success less that of each other arm,")
+    assert "no shaping 0.500 (0.420 to 0.580), oracle −0.021 (−0.030 to −0.010)." in differences
+    without = replace(result.panels["right"], notes={})
+    assert len(findings(replace(result, panels={"right": without}))) == 2
 
 
 def test_results_hold_every_measure(result, tmp_path):
@@ -67,6 +79,47 @@ def test_results_hold_every_measure(result, tmp_path):
     np.testing.assert_array_equal(returns["right/prior/discounted_return"], returns["right/prior"] / 2)
 
 
+class TestBeforeTheEnd:
+    @pytest.fixture
+    def half(self, result) -> FigureResult:
+        return replace(result, panels={"right": result.panels["right"]}, to_come=("left",))
+
+    def seen(self, half, folder) -> str:
+        console = Console(record=True, file=io.StringIO(), width=40)
+        assert figure_on("obstacles").show is not None
+        figure_on("obstacles").show(half, folder, console)
+        return console.export_text()
+
+    def test_the_picture_grows(self, result, half, tmp_path):
+        assert self.seen(half, tmp_path) == f"The right panel is done: {tmp_path / 'figure.png'} shows it.\n"
+        assert [path.name for path in tmp_path.iterdir()] == ["figure.png"], "nothing that looks finished"
+        before = plt.imread(tmp_path / "figure.png")[..., :3]
+        draw(result, tmp_path)
+        after = plt.imread(tmp_path / "figure.png")[..., :3]
+        assert before.shape == after.shape
+        height, width = before.shape[0] // 3, before.shape[1] // 2
+        ink = [(1 - picture[:height, :width]).mean() for picture in (before, after)]
+        assert 0 < ink[0] < ink[1] / 4, "there is room for the left panel, and next to nothing in it"
+
+    def test_a_finished_figure_keeps_its_picture(self, half, tmp_path):
+        (tmp_path / "results.json").write_text("{}")
+        (tmp_path / "figure.png").write_bytes(b"whole")
+        assert self.seen(half, tmp_path) == ""
+        assert (tmp_path / "figure.png").read_bytes() == b"whole"
+
+    def test_an_older_picture_outlives_a_full_disk(self, half, tmp_path, monkeypatch):
+        (tmp_path / "figure.png").write_bytes(b"older")
+
+        def pull_the_plug(name):
+            if name == "amid the temporary file":
+                raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(storage, "milestone", pull_the_plug)
+        with pytest.raises(NotSavedError, match=r"figure\.png can't be written"):
+            self.seen(half, tmp_path)
+        assert (tmp_path / "figure.png").read_bytes() == b"older"
+
+
 @pytest.mark.parametrize("panels", [["left", "right"], ["right"], ["left"]])
 def test_pictures_and_page_of_any_panels(result, panels, tmp_path):
     part = FigureResult(**{**result.__dict__, "panels": {name: result.panels[name] for name in panels}})
@@ -76,4 +129,6 @@ def test_pictures_and_page_of_any_panels(result, panels, tmp_path):
     assert "Figure 5: unseen maps with obstacles" in page
     assert "1 seeds × 10 maps" in page
     assert page.count("<table>") == len(panels)
+    assert ("oracle −0.021 (−0.030 to −0.010)" in page) == ("right" in panels)
+    assert ("<td>0.556 (0.556 to 0.556)</td>" in page) == ("right" in panels)
     print_summary(part, Console(quiet=True))

@@ -26,11 +26,15 @@ def print_summary(result: FigureResult, console: Console) -> None:
 
 def columns(score: Score) -> tuple[str, ...]:
     """The head of a panel's table."""
-    return ("arm", "start", "end", "lower quartile at end", "mean", *(f"{goal} first at" for goal in score.goals))
+    firsts = (f"{goal} first at" for goal in score.goals)
+    return ("arm", "start", "end", "lower quartile at end", "mean", "interquartile mean of runs (95 %)", *firsts)
 
 
 def panel_rows(panel: Panel) -> list[tuple[str, ...]]:
-    """The table of a panel: medians at the first and last evaluation, and when the top was first reached."""
+    """The table of a panel: medians at the first and last evaluation, and when the top was first reached.
+
+    Means are over all runs and evaluations; interquartile ones are of the runs' own means.
+    """
     rows: list[tuple[str, ...]] = []
     digits = panel.score.digits
     for name, arm in panel.arms.items():
@@ -43,10 +47,16 @@ def panel_rows(panel: Panel) -> list[tuple[str, ...]]:
                 f"{summary['median'][-1]:.{digits}f}",
                 f"{summary['q1'][-1]:.{digits}f}",
                 f"{summary['mean_over_evaluations']:.{digits + 1}f}",
+                _with_interval(*summary["iqm_of_means"], digits=digits + 1),
                 *("never" if first is None else str(first) for first in firsts),
             )
         )
     return rows
+
+
+def _with_interval(middle: float, low: float, high: float, *, digits: int) -> str:
+    said = (f"{value:.{digits}f}".replace("-", "−") for value in (middle, low, high))
+    return "{} ({} to {})".format(*said)
 
 
 def findings(result: FigureResult) -> list[str]:
@@ -56,7 +66,21 @@ def findings(result: FigureResult) -> list[str]:
         sentences.append(
             _about_adaptation(panel, WORDING[result.name].paper) if panel.variants else _about_shaping(panel)
         )
+        if "prior_less" in panel.notes:
+            sentences.append(_about_differences(panel))
     return sentences
+
+
+def _about_differences(panel: Panel) -> str:
+    less = panel.notes["prior_less"]
+    said = [
+        f"{STYLES[name][0]} {_with_interval(gap['mean'], gap['low'], gap['high'], digits=panel.score.digits + 1)}"
+        for name, gap in less.items()
+    ]
+    return (
+        f"{panel.title}: the prior's mean {panel.score.name} less that of each other arm, with 95 % intervals over "
+        f"tasks: {', '.join(said)}."
+    )
 
 
 def _about_shaping(panel: Panel) -> str:

@@ -45,8 +45,8 @@ _MAPS = (
     "A potential was meta-learned over maps, once per seed, and then met {{tasks}} {unseen}. Every run is one of "
     "{{seeds}} seeds × {{tasks}} maps; its score is 1 where the greedy policy, judged exactly and by the raw rewards, "
     "reaches the goal within 50 steps, and else 0. Curves are interquartile means, "
-    "with 95 % intervals of a bootstrap stratified by map. Medians, quartiles and "
-    "discounted returns are in results.json."
+    "with 95 % intervals of a bootstrap stratified by map; the lowest row shows discounted returns in the same way. "
+    "Medians and quartiles are in results.json."
 )
 
 WORDING: dict[str, Wording] = {
