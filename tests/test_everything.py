@@ -25,6 +25,9 @@ class Runs:
             raise UpslopeError("stopped")
         (out / "results.json").write_text("{}")
         (out / "figure.png").write_bytes(b"")
+        if name in ("fig2", "fig4"):
+            for file in ("report.html", "maps.npz", "sheet.png"):
+                (out / file).write_bytes(b"")
         console.print(f"{name} <found> 42")
 
 
@@ -61,6 +64,8 @@ def test_the_page_links_what_is_there_and_quotes_what_was_said(runs, tmp_path):
         assert f"href='{name}/results.json'" in page
         assert f"src='{name}/figure.png'" in page
         assert f"{name} &lt;found&gt; 42" in page
+        for file in ("report.html", "maps.npz", "sheet.png"):
+            assert (f"href='{name}/{file}'" in page) == (name in ("fig2", "fig4"))
     assert "returns.npz" not in page
     assert "quick forms" not in page
     assert "quick forms" in everything_in(tmp_path / "quick", is_quick=True)

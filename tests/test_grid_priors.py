@@ -11,7 +11,7 @@ from rich.console import Console
 from upslope.experiments import catalogue
 from upslope.experiments.maps.priors import families, td_residual
 from upslope.experiments.maps.readings import GridPriorsConfig, Reading
-from upslope.measures import truths
+from upslope.measures import Measures, truths
 from upslope.prior import Prior
 from upslope.recipes import for_grid_games
 
@@ -51,9 +51,28 @@ def test_curves_have_a_point_for_every_snapshot(row):
     assert row["final"]["td_residual"] == [row["measures"]["td_residual"]["mean"][0][-1]]
 
 
-@pytest.mark.parametrize("picture", ["figure.png", "figure.pdf", "map.png", "sheet.png"])
+@pytest.mark.parametrize("picture", ["figure.png", "figure.pdf", "map.png", "map.pdf", "sheet.png", "sheet.pdf"])
 def test_pictures_are_drawn(folder, picture):
     assert (folder / picture).stat().st_size > 5000
+
+
+def test_the_page_tells_whether_aims_are_met_and_holds_the_pictures(folder, row):
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "<h1>Figure 4: learned V on maps with obstacles</h1>" in page
+    assert page.count("data:image/png;base64,") == 3
+    assert "quick form" not in page
+    success = row["final"]["success"][0]
+    assert f"Zero-shot success: {success:.4f} with Algorithm 1, the aim of 0.7 missed." in page
+
+
+def test_every_measure_of_single_maps_is_kept(folder, row):
+    maps = np.load(folder / "maps.npz")
+    assert set(maps) == {"detours"} | {f"algorithm1/{measure}" for measure in Measures._fields}
+    for measure in ("rank_correlation", "squared_error", "action_optimality", "success", "discounted_return"):
+        assert maps[f"algorithm1/{measure}"].shape == (1, 3)
+        assert maps[f"algorithm1/{measure}"].mean() == pytest.approx(row["final"][measure][0], abs=1e-6)
+    assert maps["algorithm1/success"].tolist() == row["maps"]["success"]
+    assert set(row["maps"]) == {"rank_correlation", "success"}
 
 
 def test_the_prior_on_disk_is_the_last_average(folder, row):

@@ -1,12 +1,15 @@
 """Which priors of grid games are learned: each reading differs from the recipe in what it says, and in nothing else."""
 
+import base64
 import dataclasses
+import re
 
 import jax
 import matplotlib.image
 import numpy as np
 
 from upslope.experiments.maps.prior_plots import TITLES, draw_grid_priors
+from upslope.experiments.maps.prior_report import COLUMNS, about_aims, prior_rows, write_prior_report
 from upslope.experiments.maps.readings import grid_precisions, grid_readings, quick_grid_priors
 from upslope.meta_training import MetaTraining
 from upslope.tasks import obstacle_maps
@@ -51,3 +54,62 @@ def test_readings_of_other_lengths_are_drawn_beside_each_other(tmp_path):
     draw_grid_priors({"readings": rows, "detours": [1.0]}, {"success": 0.7}, tmp_path)
     height, width, _ = matplotlib.image.imread(tmp_path / "figure.png").shape
     assert np.isclose(width / height, 3.4 * len(TITLES) / 3.2, rtol=0.02), "a panel for each measure, none for maps"
+
+
+FINAL = {
+    "rank_correlation": [0.9, 1.0],
+    "action_optimality": [0.5, 0.5],
+    "success": [0.25, 0.5],
+    "squared_error": [0.01, 0.03],
+    "td_residual": [1.0, 3.0],
+}
+RESULTS = {
+    "quick": False,
+    "maps": "obstacles",
+    "readings": {
+        "algorithm1": {"what": "φ <b>", "seconds": [0.0, 61.4], "final": FINAL},
+        "multi_task_dqn": {"what": "DQN", "seconds": [0.0, 2.0], "final": {name: [0.5] for name in TITLES}},
+    },
+    "seconds_compiling": 1.0,
+    "seconds_running": 2.0,
+    "configuration": {"seeds": 2, "tasks": 10, "first_seed": 3},
+}
+AIMS = {"rank_correlation": 0.95, "success": 0.4}
+
+
+class TestPage:
+    """Two seeds of Algorithm 1 beside one of its control."""
+
+    def test_rows_are_means_with_the_lowest_and_highest_seed(self):
+        ours, theirs = prior_rows(RESULTS)
+        assert ours[:3] == ("φ <b>", "61", "0.95 (0.9 to 1)")
+        assert ours[3:] == (
+            "0.5 (0.5 to 0.5)",
+            "0.375 (0.25 to 0.5)",
+            "0.02 (0.01 to 0.03)",
+            "2 (1 to 3)",
+        )
+        assert theirs == ("DQN", "2", *["0.5"] * 5)
+        assert len(COLUMNS) == len(ours)
+
+    def test_aims_are_met_or_missed(self):
+        assert about_aims(RESULTS, AIMS) == [
+            "Rank correlation of V with V*: 0.9500 with Algorithm 1, the aim of 0.95 met.",
+            "Zero-shot success: 0.3750 with Algorithm 1, the aim of 0.4 missed.",
+        ]
+
+    def test_the_page_holds_the_pictures_that_are_there(self, tmp_path):
+        for name in ("figure.png", "map.png", "sheet.png"):
+            (tmp_path / name).write_bytes(name.encode())
+        write_prior_report("Figure <4>", RESULTS, AIMS, tmp_path)
+        page = (tmp_path / "report.html").read_text(encoding="utf-8")
+        pictures = [base64.b64decode(data).decode() for data in re.findall(r"base64,([^\"]*)", page)]
+        assert pictures == ["figure.png", "map.png", "sheet.png"]
+        assert "<h1>Figure &lt;4&gt;</h1>" in page
+        assert "<td>φ &lt;b&gt;</td><td>61</td>" in page
+        assert "the aim of 0.4 missed" in page
+        assert "2 of each kind, and measured exactly on 10 maps" in page
+        assert "Seeds from 3 on." in page
+        assert "quick form" not in page
+        write_prior_report("Figure 4", {**RESULTS, "quick": True}, AIMS, tmp_path)
+        assert "quick form" in (tmp_path / "report.html").read_text(encoding="utf-8")

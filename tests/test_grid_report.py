@@ -60,7 +60,7 @@ def test_findings(result):
     assert "(2.50 times)" in right
     assert "the prior of multi-task DQN 0.20, Manhattan distance 0.20, the oracle 0.20" in right
     assert differences.startswith("Shaping only: DQN: the prior's mean success less that of each other arm,")
-    assert "no shaping 0.500 (0.420 to 0.580), oracle −0.021 (−0.030 to −0.010)." in differences
+    assert "no shaping 0.500 (0.420 to 0.580); oracle −0.021 (−0.030 to −0.010)." in differences
     without = replace(result.panels["right"], notes={})
     assert len(findings(replace(result, panels={"right": without}))) == 2
 

@@ -23,12 +23,12 @@ from upslope.run.session import session_in
 #: By the name that `upslope reproduce` knows: the paper's figures and theorems, then what is beside them.
 EXPERIMENTS: dict[str, Experiment[Any, Any]] = {
     "fig1": FIGURE_1,
-    "fig2": priors_study(partial(grid_priors, "clean")),
+    "fig2": priors_study("Figure 2: learned V on clean maps", partial(grid_priors, "clean")),
     "fig3": figure_on("clean"),
-    "fig4": priors_study(partial(grid_priors, "obstacles")),
+    "fig4": priors_study("Figure 4: learned V on maps with obstacles", partial(grid_priors, "obstacles")),
     "fig5": figure_on("obstacles"),
-    "grid-precisions": priors_study(grid_precisions),
-    "grid-readings": priors_study(grid_readings),
+    "grid-precisions": priors_study("Algorithm 1 with fewer bits, on maps with obstacles", grid_precisions),
+    "grid-readings": priors_study("Algorithm 1 read in other ways, on maps with obstacles", grid_readings),
     "theorems": THEOREMS,
     "shipped-prior": SHIPPED_PRIOR,
     **STUDIES,

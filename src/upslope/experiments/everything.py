@@ -27,7 +27,7 @@ PRIORS_OF = {"fig3": "fig2", "fig5": "fig4"}
 
 #: What is shown of a chapter and linked from it, where it is there.
 PICTURES = ("figure.png", "map.png", "sheet.png")
-FILES = ("report.html", "tables.md", "results.json", "returns.npz")
+FILES = ("report.html", "tables.md", "results.json", "returns.npz", "maps.npz")
 
 
 def reproduce_all(

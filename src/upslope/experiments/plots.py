@@ -119,7 +119,6 @@ def _draw_curves(axis: Axes, panel: Panel, name: str, curves: Callable[[Arm], di
     _legend(axis)
 
 
-
 def _legend(axis: Axes) -> None:
     """Below the axes: within them it would lie over some curve."""
     narrow: dict[str, Any] = {"columnspacing": 1.2, "handlelength": 1.6, "handletextpad": 0.6}

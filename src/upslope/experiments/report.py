@@ -1,6 +1,5 @@
 """What a figure says: a table in the terminal, and a page to read."""
 
-import base64
 import html
 from pathlib import Path
 
@@ -8,18 +7,20 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from upslope.experiments.page import bullets, page, picture, table
 from upslope.experiments.plots import STYLES
 from upslope.experiments.results import FigureResult, Panel, Score
 from upslope.experiments.wording import WORDING
+from upslope.storage import write_atomically
 
 
 def print_summary(result: FigureResult, console: Console) -> None:
     """One table per panel, then the sentences that the numbers allow."""
     for panel in result.panels.values():
-        table = Table(*columns(panel.score), title=panel.title, title_justify="left")
+        rows = Table(*columns(panel.score), title=panel.title, title_justify="left")
         for row in panel_rows(panel):
-            table.add_row(*row)
-        console.print(table)
+            rows.add_row(*row)
+        console.print(rows)
     for sentence in findings(result):
         console.print(f"• {sentence}", highlight=False)
 
@@ -79,7 +80,7 @@ def _about_differences(panel: Panel) -> str:
     ]
     return (
         f"{panel.title}: the prior's mean {panel.score.name} less that of each other arm, with 95 % intervals over "
-        f"tasks: {', '.join(said)}."
+        f"tasks: {'; '.join(said)}."
     )
 
 
@@ -128,55 +129,24 @@ def _about_adaptation(panel: Panel, paper: str) -> str:
 
 
 def write_report(result: FigureResult, folder: Path) -> None:
-    """Writes report.html: the picture, the findings and the tables, in one file that needs no other."""
-    picture = base64.b64encode((folder / "figure.png").read_bytes()).decode()
-    sections = "\n".join(_section(panel) for panel in result.panels.values())
-    notes = "\n".join(f"<li>{html.escape(sentence)}</li>" for sentence in findings(result))
-    quick = "<p class='quick'>This is the quick form: too small to say anything about the paper.</p>"
-    digits = next(iter(result.panels.values())).score.digits + 1
-    seeds, tasks = next(iter(next(iter(result.panels.values())).arms.values())).returns.shape[:2]
+    """Writes report.html: the findings, the picture and the tables, in one file that needs no other.
+
+    Raises:
+        NotSavedError: the disk is full, or the folder is gone or read-only.
+    """
+    panels = list(result.panels.values())
+    digits = panels[0].score.digits + 1
+    seeds, tasks = next(iter(panels[0].arms.values())).returns.shape[:2]
     words = WORDING[result.name]
-    page = _PAGE.format(
-        title=words.title,
-        intro=words.intro.format(seeds=seeds, tasks=tasks),
-        quick=quick if result.quick else "",
-        notes=notes,
-        picture=picture,
-        sections=sections,
-        first_seed=result.configuration["first_seed"],
-        compiling=f"{result.seconds_compiling:.0f}",
-        running=f"{result.seconds_running:.0f}",
-        lowest=f"{min(row['zero_shot_mean'] for row in result.priors):.{digits}f}",
-        average=f"{np.mean([row['zero_shot_mean'] for row in result.priors]):.{digits}f}",
-    )
-    (folder / "report.html").write_text(page, encoding="utf-8")
-
-
-def _section(panel: Panel) -> str:
-    head = "".join(f"<th>{column}</th>" for column in columns(panel.score))
-    rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in panel_rows(panel))
-    body = "\n".join(f"<tr>{row}</tr>" for row in rows)
-    return f"<h2>{html.escape(panel.title)}</h2>\n<table><tr>{head}</tr>\n{body}</table>"
-
-
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<style>
- body {{ font: 16px/1.5 Georgia, serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222; }}
- h1, h2 {{ font-weight: normal; }} h2 {{ margin-top: 2rem; }} img {{ width: 100%; }}
- table {{ border-collapse: collapse; font: 14px/1.4 sans-serif; }} .quick {{ color: #b2182b; font-weight: bold; }}
- th, td {{ padding: .25rem .8rem; text-align: right; border-bottom: 1px solid #ddd; }}
- th:first-child, td:first-child {{ text-align: left; }} footer {{ margin-top: 2rem; color: #777; font-size: 14px; }}
-</style></head><body>
-<h1>{title}</h1>
-{quick}
-<p>{intro}</p>
-<ul>
-{notes}
-</ul>
-<img alt="{title}" src="data:image/png;base64,{picture}">
-{sections}
-<footer>Seeds from {first_seed} on. {compiling} s compiling, {running} s running. Zero-shot mean of the priors
-{average}, lowest {lowest}. All numbers are in results.json, all returns in returns.npz.</footer>
-</body></html>
-"""
+    means = [row["zero_shot_mean"] for row in result.priors]
+    parts = [
+        f"<p>{words.intro.format(seeds=seeds, tasks=tasks)}</p>",
+        bullets(findings(result)),
+        picture(folder / "figure.png", words.title),
+        *(f"<h2>{html.escape(panel.title)}</h2>\n{table(columns(panel.score), panel_rows(panel))}" for panel in panels),
+        f"<footer>Seeds from {result.configuration['first_seed']} on. {result.seconds_compiling:.0f} s compiling, "
+        f"{result.seconds_running:.0f} s running. Zero-shot mean of the priors {np.mean(means):.{digits}f}, lowest "
+        f"{min(means):.{digits}f}. All numbers are in results.json, all returns in returns.npz.</footer>",
+    ]
+    text = page(words.title, parts, is_quick=result.quick)
+    write_atomically(folder / "report.html", text.encode())

@@ -15,7 +15,10 @@ ON_THE_SHEET = 24
 
 
 def draw_map_figures(config: GridPriorsConfig, prior: Prior, folder: Path) -> None:
-    """Writes map.png, the first unseen map, which nobody chose; and sheet.png, evenly from the worst to the best."""
+    """Writes map.png, the first unseen map, which nobody chose; sheet.png, evenly from the worst to the best.
+
+    PDFs are written beside them.
+    """
     family, unseen = families(config.maps)
     maps = unseen.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
     learned = learned_maps(family.env, truths(family.env, maps, family.gamma), maps, prior.network, family.max_steps)

@@ -72,7 +72,10 @@ def _tables_of_all(env: GridGame, maps: GridParams, network: Any) -> Any:
 
 
 def draw_one(learned: LearnedMap, path: Path, *, title: str = "") -> None:
-    """Writes a picture of one map: the map; learned V with arrows of the greedy policy; V*; learned V − V*."""
+    """Writes a picture of one map: the map; learned V with arrows of the greedy policy; V*; learned V − V*.
+
+    A PDF is written beside it.
+    """
     with plt.rc_context({"font.size": 9}):
         figure, axes = plt.subplots(1, 4, figsize=(13, 3.4), layout="constrained")
         draw_map(axes[0], learned.params)
@@ -91,11 +94,15 @@ def draw_one(learned: LearnedMap, path: Path, *, title: str = "") -> None:
             figure.colorbar(image, ax=axis, shrink=0.85)
         figure.suptitle(caption(learned.measures), fontsize=9)
         figure.savefig(path, dpi=150)
+        figure.savefig(path.with_suffix(".pdf"))
         plt.close(figure)
 
 
 def draw_sheet(maps: list[LearnedMap], path: Path, *, columns: int = 6, title: str = "") -> None:
-    """Writes a sheet of pairs, learned V with arrows beside V*, in the order given (see `spread_by_rank`)."""
+    """Writes a sheet of pairs, learned V with arrows beside V*, in the order given (see `spread_by_rank`).
+
+    A PDF is written beside it.
+    """
     rows = -(-len(maps) // columns)
     with plt.rc_context({"font.size": 7}):
         figure, axes = plt.subplots(
@@ -115,6 +122,7 @@ def draw_sheet(maps: list[LearnedMap], path: Path, *, columns: int = 6, title: s
             right.set_title("V*")
         figure.suptitle(title or "learned V with greedy actions, and V*; rank correlation, from worst to best")
         figure.savefig(path, dpi=130)
+        figure.savefig(path.with_suffix(".pdf"))
         plt.close(figure)
 
 

@@ -1,15 +1,18 @@
 """Experiments that learn priors of grid games: Figures 2 and 4, and studies of Algorithm 1 there."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from upslope.experiments.experiment import Experiment, Plan
 from upslope.experiments.maps.pictures import draw_map_figures
-from upslope.experiments.maps.prior_plots import TITLES, draw_grid_priors
+from upslope.experiments.maps.prior_plots import draw_grid_priors
+from upslope.experiments.maps.prior_report import COLUMNS, prior_rows, write_prior_report
 from upslope.experiments.maps.priors import run_grid_priors
 from upslope.experiments.maps.readings import AIMS, GridPriorsConfig, quick_grid_priors
 from upslope.experiments.results import write_json
@@ -24,37 +27,47 @@ class LearnedPriors(NamedTuple):
         config: it was run with.
         results: the content of results.json.
         priors: of each reading, one per seed.
+        maps: the content of maps.npz.
     """
 
     config: GridPriorsConfig
     results: dict[str, Any]
     priors: dict[str, list[Prior]]
+    maps: dict[str, np.ndarray]
 
 
-def priors_study(full: Callable[..., GridPriorsConfig]) -> Experiment[GridPriorsConfig, LearnedPriors]:
-    """The experiment whose settings this makes, for any number of iterations or its own."""
-    return Experiment(full, quick_grid_priors, _run, _write, _tell, with_iterations=full)
+def priors_study(title: str, full: Callable[..., GridPriorsConfig]) -> Experiment[GridPriorsConfig, LearnedPriors]:
+    """An experiment.
+
+    Args:
+        title: of its page.
+        full: makes its settings, for any number of iterations or its own.
+    """
+    return Experiment(full, quick_grid_priors, _run, partial(_write, title), _tell, with_iterations=full)
 
 
 def _run(plan: Plan[GridPriorsConfig], session: Session) -> LearnedPriors:
-    return LearnedPriors(plan.settings, *run_grid_priors(plan.settings, session))
+    results, priors, maps = run_grid_priors(plan.settings, session)
+    return LearnedPriors(plan.settings, {"quick": plan.is_quick, **results}, priors, maps)
 
 
-def _write(learned: LearnedPriors, folder: Path) -> None:
-    config, results, priors = learned
+def _write(title: str, learned: LearnedPriors, folder: Path) -> None:
+    config, results, priors, maps = learned
+    np.savez_compressed(folder / "maps.npz", allow_pickle=False, **maps)
     write_json(folder / "results.json", results)
     for reading, of_seeds in priors.items():
         for prior in of_seeds:
             prior.save(folder / f"{reading}-{prior.trained_on.seed}.safetensors", overwrite=True)
-    draw_grid_priors(results, {measure: aims[config.maps] for measure, aims in AIMS.items()}, folder)
+    aims = {measure: of_maps[config.maps] for measure, of_maps in AIMS.items()}
+    draw_grid_priors(results, aims, folder)
     draw_map_figures(config, priors["algorithm1"][0], folder)
+    write_prior_report(title, results, aims, folder)
 
 
 def _tell(learned: LearnedPriors, folder: Path, console: Console) -> None:
     results = learned.results
-    table = Table("", "seconds", *TITLES.values(), title=f"Priors on unseen maps ({results['maps']})")
-    for row in results["readings"].values():
-        numbers = (f"{sum(row['final'][measure]) / len(row['chosen']):.3g}" for measure in TITLES)
-        table.add_row(row["what"], f"{row['seconds'][-1]:.0f}", *numbers)
+    table = Table(*COLUMNS, title=f"Priors on unseen maps ({results['maps']})")
+    for row in prior_rows(results):
+        table.add_row(*row)
     console.print(table)
-    console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold], the priors and pictures beside it.")
+    console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; numbers, priors and pictures are beside it.")

@@ -6,13 +6,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.api import best_prior
 from upslope.experiments.keys import Purpose, key_for, keys_for
 from upslope.experiments.maps.readings import GridPriorsConfig, Maps, stage
 from upslope.experiments.results import circumstances
-from upslope.measures import Truth, dead_units, feature_norm, measure_all, summarise, tables, truths
+from upslope.measures import Measures, Truth, dead_units, feature_norm, measure_all, summarise, tables, truths
 from upslope.meta_training import MetaTraining
 from upslope.networks import DuelingQ
 from upslope.planning import lookahead
@@ -26,6 +27,9 @@ from upslope.tasks import JaxTasks, clean_maps, obstacle_maps
 from upslope.tasks.grid_potentials import manhattan_potential
 from upslope.types import Task
 
+#: Which measures of single maps results.json tells.
+_TOLD = ("rank_correlation", "success")
+
 
 def families(maps: Maps) -> tuple[JaxTasks, JaxTasks]:
     """Training maps, and the family that unseen ones are drawn from."""
@@ -36,15 +40,17 @@ def families(maps: Maps) -> tuple[JaxTasks, JaxTasks]:
 
 def run_grid_priors(
     config: GridPriorsConfig, session: Session | None = None
-) -> tuple[dict[str, Any], dict[str, list[Prior]]]:
+) -> tuple[dict[str, Any], dict[str, list[Prior]], dict[str, np.ndarray]]:
     """Learns every prior, and measures it over its training on unseen maps.
 
     Returns:
-        The content of results.json, and the priors of each reading, one per seed.
+        The content of results.json; the priors of each reading, one per seed; and every measure of the priors on
+        single maps, ``reading/measure`` to ``[seeds, maps]``, with the maps' mean ``detours`` ``[maps]``.
     """
     family, unseen = families(config.maps)
     rows: dict[str, Any] = {}
     priors: dict[str, list[Prior]] = {}
+    singles: dict[str, np.ndarray] = {}
     with compile_clock() as clock:
         tasks = unseen.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
         known = truths(family.env, tasks, family.gamma)
@@ -57,15 +63,18 @@ def run_grid_priors(
                 title=stage(config.maps, name),
                 session=session,
             )
-            rows[name] = {"what": what} | describe(family, known, tasks, outcome, settings)
+            row = describe(family, known, tasks, outcome, settings)
+            singles |= {f"{name}/{measure}": np.asarray(seeds) for measure, seeds in row["maps"].items()}
+            rows[name] = {"what": what} | row | {"maps": {measure: row["maps"][measure] for measure in _TOLD}}
             priors[name] = [
                 best_prior(family, outcome, settings, index, config.first_seed + index) for index in range(config.seeds)
             ]
+    singles["detours"] = np.asarray(mean_detours(family, known, tasks))
     results = {
         "figure": "grid priors",
         "maps": config.maps,
         "readings": rows,
-        "detours": mean_detours(family, known, tasks).tolist(),
+        "detours": singles["detours"].tolist(),
         **circumstances(
             clock,
             {
@@ -76,7 +85,7 @@ def run_grid_priors(
             },
         ),
     }
-    return results, priors
+    return results, priors, singles
 
 
 def describe(
@@ -89,7 +98,7 @@ def describe(
     seeds, snapshots = outcome.reports["return"].shape
     chosen = [config.best_snapshot(row) for row in outcome.reports["return"]]
     curves: dict[str, Any] = {}
-    maps: dict[str, list[list[float]]] = {"rank_correlation": [], "success": []}
+    maps: dict[str, list[list[float]]] = {name: [] for name in Measures._fields}
     for seed in range(seeds):
         for index in range(snapshots):
             network = jax.tree.map(lambda leaf, i=seed, j=index: jnp.asarray(leaf[i, j]), outcome.reports["prior"])
