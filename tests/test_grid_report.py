@@ -49,6 +49,14 @@ def test_the_table_has_success_with_two_digits_and_the_first_update_that_solves_
     assert len(columns(SUCCESS)) == 1 + len(rows["no shaping"])
 
 
+def test_numbers_stay_whole_in_a_narrow_terminal(result):
+    console = Console(record=True, file=io.StringIO(), width=80)
+    print_summary(result, console)
+    text = console.export_text()
+    assert "meta-learned prior         0.00  1.00 1.00     0.500 0.556 (0.556–0.556) 25" in text
+    assert "…" not in text
+
+
 def test_findings(result):
     priors, left, right, differences = findings(result)
     assert "solve 0.50 of the unseen maps" in priors

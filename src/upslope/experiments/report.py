@@ -2,6 +2,7 @@
 
 import html
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from rich.console import Console
@@ -17,10 +18,13 @@ from upslope.storage import write_atomically
 def print_summary(result: FigureResult, console: Console) -> None:
     """One table per panel, then the sentences that the numbers allow."""
     for panel in result.panels.values():
-        rows = Table(*columns(panel.score), title=panel.title, title_justify="left")
+        # Narrow: numbers stay whole where a terminal has 80 characters, and names of arms are broken between words.
+        rows = Table(title=panel.title, title_justify="left", box=None, padding=(0, 1, 0, 0))
+        for column in columns(panel.score):
+            rows.add_column(fill(column, 7, break_long_words=False), no_wrap=column != "arm")
         for row in panel_rows(panel):
-            rows.add_row(*row)
-        console.print(rows)
+            rows.add_row(*(cell.replace(" to ", "–") for cell in row))
+        console.print(rows, "")
     for sentence in findings(result):
         console.print(f"• {sentence}", highlight=False)
 

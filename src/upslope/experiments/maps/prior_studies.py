@@ -67,7 +67,7 @@ def _write(title: str, learned: LearnedPriors, folder: Path) -> None:
 def _tell(learned: LearnedPriors, folder: Path, console: Console) -> None:
     results = learned.results
     table = Table(*COLUMNS, title=f"Priors on unseen maps ({results['maps']})")
-    for row in prior_rows(results):
-        table.add_row(*row)
+    for what, *numbers in prior_rows(results):
+        table.add_row(what, *(number.partition(" (")[0] for number in numbers))  # seeds' ranges are on the page
     console.print(table)
     console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; numbers, priors and pictures are beside it.")
