@@ -71,20 +71,22 @@ def findings(result: FigureResult) -> list[str]:
         sentences.append(
             _about_adaptation(panel, WORDING[result.name].paper) if panel.variants else _about_shaping(panel)
         )
-        if "prior_less" in panel.notes:
-            sentences.append(_about_differences(panel))
+        if panel.notes.get("prior_less"):
+            sentences.append(_about_differences(panel, "the prior", panel.notes["prior_less"]))
+        if panel.variants and panel.notes.get("algorithm2_less"):
+            less = panel.notes["algorithm2_less"][str(panel.notes["stop"])]
+            sentences.append(_about_differences(panel, "Algorithm 2", less))
     return sentences
 
 
-def _about_differences(panel: Panel) -> str:
-    less = panel.notes["prior_less"]
+def _about_differences(panel: Panel, whose: str, less: dict[str, dict[str, float]]) -> str:
     said = [
         f"{STYLES[name][0]} {_with_interval(gap['mean'], gap['low'], gap['high'], digits=panel.score.digits + 1)}"
         for name, gap in less.items()
     ]
     return (
-        f"{panel.title}: the prior's mean {panel.score.name} less that of each other arm, with 95 % intervals over "
-        f"tasks: {'; '.join(said)}."
+        f"{panel.title}: {whose}'s mean {panel.score.name} less that of each other arm, with 95 % intervals over tasks "
+        f"and seeds: {'; '.join(said)}."
     )
 
 
