@@ -8,10 +8,8 @@ step of Q-learning on the transitions of every step.
 """
 
 import importlib.util
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -77,7 +75,7 @@ def main(options: Options) -> None:
     """Times all games, widths and levels in turns."""
     if options.quick:
         options = replace(options, repeats=1, widths=(20,), steps=(20,), host_steps=(20,), asynchronous=0)
-    set_up_devices(Path(tempfile.mkdtemp()))
+    set_up_devices(harness.scratch())
     parts: dict[str, Part] = {}
     for width, steps, host_steps in zip(options.widths, options.steps, options.host_steps, strict=True):
         host = on_host(width, options)

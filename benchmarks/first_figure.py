@@ -46,7 +46,7 @@ class Options(harness.Options):
 
 def main(options: Options) -> None:
     """Times everything asked for, in turns."""
-    set_up_devices(Path(tempfile.mkdtemp()))
+    set_up_devices(harness.scratch())
     config = MetaTrainingConfig(iterations=20) if options.quick else MetaTrainingConfig()
     updates = 100 if options.quick else 3000
     parts = {

@@ -4,14 +4,14 @@ A part is a call that does the work once and waits for it. Its first call, which
 parts take turns, so that a machine that slows down slows down all of them.
 """
 
+import atexit
 import json
-import os
-import platform
+import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,12 +19,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.provenance import machine, software
 from upslope.run.compiling import compile_clock
-from upslope.run.machine import hardware, versions
 
 RESULTS = Path(__file__).parent / "results"
-
-_PEERS = ("torch", "stable-baselines3", "sbx-rl", "gymnax", "flax")
 
 Row = dict[str, Any]
 
@@ -64,6 +62,7 @@ class Bar(NamedTuple):
         needed: the least, or the most.
         at_most: whether less is better.
         bound: what bounds it where it is missed.
+        close: whether the bound is to be told although the bar is met, because it is met by a margin for noise only.
     """
 
     what: str
@@ -71,6 +70,7 @@ class Bar(NamedTuple):
     needed: float
     at_most: bool = False
     bound: str = ""
+    close: bool = False
 
     @property
     def verdict(self) -> str:
@@ -83,8 +83,22 @@ class Bar(NamedTuple):
         return f"missed by a factor of {ratio:.2f}"
 
 
-def time_in_turns(parts: Mapping[str, Part], repeats: int) -> dict[str, Row]:
+def scratch() -> Path:
+    """A new folder that goes when this process ends: for compiled programs, so that no earlier run's are found."""
+    folder = tempfile.mkdtemp(prefix="upslope-benchmark-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
+
+
+def time_in_turns(
+    parts: Mapping[str, Part], repeats: int, after: Callable[[int], object] = lambda _: None
+) -> dict[str, Row]:
     """Every part's first call, then ``repeats`` calls of each in turns.
+
+    Args:
+        parts: by name.
+        repeats: of each.
+        after: is told how many calls all parts have had, after the first ones and after each turn; it is not timed.
 
     Returns:
         By name: all ``seconds``, their ``median``, ``fastest`` and ``slowest``, seconds of the ``first_call``, how many
@@ -95,9 +109,11 @@ def time_in_turns(parts: Mapping[str, Part], repeats: int) -> dict[str, Row]:
         with compile_clock() as clock:
             seconds = seconds_of(part.run)
         rows[name] = {"seconds": [], "first_call": seconds, "compiling": clock.seconds, "programs": clock.programs}
-    for _ in range(repeats):
+    after(1)
+    for turn in range(repeats):
         for name, part in parts.items():
             rows[name]["seconds"].append(seconds_of(part.run))
+        after(turn + 2)
     for name, part in parts.items():
         rows[name] |= spread(rows[name]["seconds"])
         rows[name] |= {f"{unit}/s": work / rows[name]["median"] for unit, work in part.work.items()}
@@ -121,7 +137,6 @@ def write(
     name: str, options: Options, rows: Mapping[str, Row], *, bars: Iterable[Bar] = (), unit: str = "s", **more: Any
 ) -> Path:
     """Writes ``results/NAME.json`` with versions, hardware and settings, and prints it as a table."""
-    began = datetime.now(UTC).replace(microsecond=0).isoformat()
     folder = RESULTS / "quick" if options.quick else RESULTS
     folder.mkdir(parents=True, exist_ok=True)
     bars = list(bars)
@@ -131,9 +146,9 @@ def write(
         "bars": [bar._asdict() | {"verdict": bar.verdict} for bar in bars],
         **more,
         "settings": asdict(options),
-        "versions": versions() | _peer_versions(),
-        "hardware": hardware() | {"kernel": platform.release(), "load": os.getloadavg()},
-        "written": began,
+        "versions": software(),
+        "hardware": machine(),
+        "written": datetime.now(UTC).replace(microsecond=0).isoformat(),
     }
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -186,13 +201,3 @@ def number(value: Any) -> str:
 def counted(count: int, noun: str) -> str:
     """A number and its noun."""
     return f"{count:,} {noun}" + ("" if count == 1 else "s")
-
-
-def _peer_versions() -> dict[str, str]:
-    found = {}
-    for name in _PEERS:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

@@ -3,10 +3,8 @@
 ``python -m benchmarks.maps`` writes ``benchmarks/results/maps.json``.
 """
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -41,7 +39,7 @@ class Options(harness.Options):
 
 def main(options: Options) -> None:
     """Times all parts, in turns."""
-    set_up_devices(Path(tempfile.mkdtemp()))
+    set_up_devices(harness.scratch())
     count, steps = (50, 10) if options.quick else (options.maps, 1000)
     learners, updates = (2, 2) if options.quick else (options.learners, options.updates)
     slippery = grid_games(traps=0.1, slip=0.2)

@@ -5,11 +5,9 @@ installed (``pip install torch==2.13.0``).
 """
 
 import importlib.util
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -66,7 +64,7 @@ class Sizes:
 
 def main(options: Options) -> None:
     """Times everything asked for, in turns."""
-    set_up_devices(Path(tempfile.mkdtemp()))
+    set_up_devices(harness.scratch())
     numbers = options.tasks[:1] if options.quick else options.tasks
     parts: dict[str, Part] = {
         "a product of two matrices of 2,048 × 2,048": Part(large_product(), {"operations": 2 * 2048**3})

@@ -8,7 +8,6 @@ import importlib.util
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -61,7 +60,7 @@ QUICK = {"repeats": 1, "seeds": (1,), "plain_iterations": 1, "careful_iterations
 def main(options: Options) -> None:
     """Times everything in turns, then compares what was learned."""
     options = replace(options, **QUICK) if options.quick else options
-    set_up_devices(Path(tempfile.mkdtemp()))
+    set_up_devices(harness.scratch())
     config = replace(RECIPE, iterations=20) if options.quick else RECIPE
     lengths = {n: options.many_iterations if n > 10 else config.iterations for n in options.seeds}
     parts = {seeds_row(n): Part(ours(config, n, lengths[n])) for n in options.seeds}

@@ -4,10 +4,8 @@
 form: a loop of steps, mapped over learners, on one device.
 """
 
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -50,7 +48,7 @@ def main(options: Options) -> None:
     """Times all phases of all jobs in turns."""
     if options.quick:
         options = replace(options, repeats=1, learners=2)
-    set_up_devices(Path(tempfile.mkdtemp()))
+    set_up_devices(harness.scratch())
     jobs = {name: make for name, make in all_jobs(options.learners).items() if name in options.jobs}
     parts: dict[str, Part] = {}
     counts: dict[str, int] = {}

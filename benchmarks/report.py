@@ -98,7 +98,9 @@ def section(name: str, arguments: str, minutes: str, content: Any, picture: str 
     load = content["hardware"].get("load")
     written, repeats = content["written"][:16].replace("T", " "), content["settings"]["repeats"]
     at_the_end = f", load {load[0]:.1f} at the end" if load else ""
-    yield f"Measured {written} UTC, {repeats} repeats in turns{at_the_end}."
+    commit = content["versions"].get("commit", "")
+    made = f" at commit {commit[:10]}{commit[40:]}" if commit else ""
+    yield f"Measured {written} UTC{made}, {repeats} repeats in turns{at_the_end}."
 
 
 _EXTRAS = {"meta_training": ("curves",), "scaling": ("fits",)}
@@ -110,7 +112,8 @@ def bars_table(found: dict[str, Any]) -> str:
     for content in found.values():
         for bar in content["bars"]:
             measured = "" if bar["measured"] is None else number(bar["measured"])
-            bound = bar["bound"] if bar["verdict"].startswith("missed") else ""
+            told = bar["verdict"].startswith("missed") or bar.get("close", False)
+            bound = bar["bound"] if told else ""
             body.append([bar["what"], measured, bar["verdict"], bound])
     return markdown(["bar", "measured", "", "what bounds it"], body) if body else "None was measured yet."
 
@@ -133,13 +136,18 @@ def machines(found: dict[str, Any]) -> str:
     lines = {}
     for name, content in found.items():
         hardware, versions = content["hardware"], content["versions"]
-        said = f"{hardware['processor']}, {hardware['cores']} cores, {hardware['system']}; " + ", ".join(
-            f"{package} {version}" for package, version in versions.items()
-        )
+        exactly = [f"{what} {hardware[key]}" for what, key in _EXACTLY.items() if key in hardware]
+        processor = hardware["processor"] + (f" ({', '.join(exactly)})" if exactly else "")
+        memory = f", {hardware['memory, GiB']:g} GiB" if "memory, GiB" in hardware else ""
+        packages = ", ".join(f"{package} {version}" for package, version in versions.items() if package != "commit")
+        said = f"{processor}, {hardware['cores']} cores{memory}, {hardware['system']}; {packages}"
         lines.setdefault(said, []).append(name)
     if len(lines) == 1:
         return f"Measured on: {next(iter(lines))}."
     return "\n".join(f"- {', '.join(names)}: {said}." for said, names in lines.items())
+
+
+_EXACTLY = {"family": "processor's family", "model": "processor's model"}
 
 
 def markdown(heads: list[str], body: list[list[str]]) -> str:

@@ -3,10 +3,8 @@
 ``python -m benchmarks.scaling`` writes ``benchmarks/results/scaling.json``.
 """
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -48,7 +46,7 @@ def main(options: Options) -> None:
     """Times one iteration at each point of the four series, in turns."""
     if options.quick:
         options = replace(options, repeats=1, tasks=(2, 4), seeds=(), inner_steps=(), sizes=(4, 5))
-    set_up_devices(Path(tempfile.mkdtemp()))
+    set_up_devices(harness.scratch())
     series = {
         "tasks": {n: (cartpole(replace(RECIPE, tasks=n)), max(1, 200 // n)) for n in options.tasks},
         "seeds": {n: (cartpole(RECIPE, n), max(1, 100 // n)) for n in options.seeds},

@@ -6,10 +6,8 @@ stretches of 600 updates are the 3,000 of the figure, after which the learners a
 """
 
 import importlib.util
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -53,7 +51,7 @@ def main(options: Options) -> None:
     """Times stretches of all learners in turns, then tries them."""
     if options.quick:
         options = replace(options, counts=(1, 10), updates=40, iterations=10, repeats=2)
-    set_up_devices(Path(tempfile.mkdtemp()))
+    set_up_devices(harness.scratch())
     config = upslope.MetaTrainingConfig(iterations=options.iterations)
     prior = upslope.meta_train(cartpoles(), seed=0, config=config)
     stretch = options.updates // options.repeats

@@ -1,7 +1,11 @@
 """The benchmarks' harness and the page that is written from their results."""
 
 import json
+import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 from benchmarks import harness, report
@@ -16,6 +20,12 @@ class TestTiming:
         assert calls == ["a", "b", "a", "b", "a", "b", "a", "b"]
         assert len(rows["a"]["seconds"]) == 3
         assert rows["a"]["things/s"] == pytest.approx(6 / rows["a"]["median"])
+
+    def test_after_each_turn_it_tells_how_many_calls_all_parts_have_had(self):
+        calls, told = [], []
+        parts = {name: Part(lambda name=name: calls.append(name)) for name in "ab"}
+        time_in_turns(parts, 2, lambda count: told.append((count, len(calls))))
+        assert told == [(1, 2), (2, 4), (3, 6)]
 
     def test_it_measures_wall_clock_seconds(self):
         row = time_in_turns({"nap": Part(lambda: time.sleep(0.02))}, 2)["nap"]
@@ -49,6 +59,22 @@ class TestBars:
         assert Bar("", measured, 100, at_most).verdict == verdict
 
 
+def test_the_bound_of_a_bar_that_is_met_within_the_noise_is_told():
+    bars = [Bar("near", 1.05, 1.1, True, "the caches", close=True)._asdict(), Bar("far", 2, 1, bound="rain")._asdict()]
+    page = report.bars_table({"one": {"bars": [bar | {"verdict": "met"} for bar in bars]}})
+    assert "| near | 1.05 | met | the caches |" in page
+    assert "| far | 2.00 | met |  |" in page
+
+
+def test_a_scratch_folder_goes_with_its_process(tmp_path):
+    program = "from benchmarks import harness; print(harness.scratch())"
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=report.ROOT, env=environment, check=True, capture_output=True, text=True)
+    assert Path(done.stdout.strip()).parent == tmp_path
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [(1234567.0, "1,234,567"), (12.345, "12.3"), (0.0123456, "0.0123"), (0, "0"), (3, "3.00"), ("words", "words")],
@@ -76,6 +102,8 @@ def test_results_say_what_they_were_made_with_and_quick_ones_stay_apart(quick, t
     assert content["settings"] == {"repeats": 5, "quick": quick}
     assert {"jax", "upslope"} <= set(content["versions"])
     assert content["hardware"]["cores"] >= 1
+    assert "devices" not in content["hardware"]
+    assert len(content["versions"].get("commit", 40 * "0").split(",")[0]) == 40
     page = report.page(report.results(path.parent))
     assert "| a | 2.00 | 1.00 to 9.00 |" in page
     assert "| low | 2.00 | met |  |" in page

@@ -11,7 +11,7 @@ import pytest
 from benchmarks import harness
 
 ROOT = Path(__file__).parents[1]
-NO_BENCHMARKS = {"harness", "going", "phases", "plots", "report", "clients_report", "peers"}
+NO_BENCHMARKS = {"harness", "provenance", "going", "phases", "plots", "report", "clients_report", "peers"}
 #: Has an option of its own for it, and no table of seconds.
 ELSEWHERE = {"clients"}
 NAMES = sorted({module.name for module in pkgutil.iter_modules(benchmarks.__path__)} - NO_BENCHMARKS - ELSEWHERE)

@@ -83,17 +83,3 @@ class CleanDQN:
             targets = reward + discount * self.target(next_obs).amax(dim=1)
         q = self.network(obs).gather(1, action[:, None])[:, 0]
         return 2 * torch.nn.functional.huber_loss(q, targets, delta=self.config.huber_threshold)
-
-    def greedy_return(self, env: gym.Env, episodes: int = 3) -> float:
-        """Mean raw return of greedy episodes in an unshaped environment."""
-        total = 0.0
-        for _ in range(episodes):
-            obs, _ = env.reset()
-            done = False
-            while not done:
-                with torch.no_grad():
-                    action = int(self.network(torch.from_numpy(obs)).argmax())
-                obs, reward, terminated, truncated, _ = env.step(action)
-                total += float(reward)
-                done = terminated or truncated
-        return total / episodes
