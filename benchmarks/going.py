@@ -34,6 +34,11 @@ class Going:
         found = self._advance(0, report=True)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[: self.count], found)
 
+    @property
+    def states(self) -> Any:
+        """What they hold now, padding included; the next advance takes it away."""
+        return self._states
+
     def _advance(self, steps: int, *, report: bool) -> dict[str, Any]:
         chunk = chunks.advance(self._learners, self._states, self._totals, steps, fresh=False, report=report)
         self._states, self._totals, told = jax.block_until_ready((chunk.states, chunk.totals, chunk.report))

@@ -11,7 +11,9 @@ import pytest
 from benchmarks import harness
 
 ROOT = Path(__file__).parents[1]
-NO_BENCHMARKS = {"harness", "provenance", "going", "phases", "plots", "report", "clients_report", "peers"}
+HELPERS = {"harness", "provenance", "compile_costs", "learning_curves", "host_environments", "convolutional_step",
+           "going", "phases"}  # fmt: skip
+NO_BENCHMARKS = HELPERS | {"plots", "report", "clients_report", "peers"}
 #: Has an option of its own for it, and no table of seconds.
 ELSEWHERE = {"clients"}
 NAMES = sorted({module.name for module in pkgutil.iter_modules(benchmarks.__path__)} - NO_BENCHMARKS - ELSEWHERE)
