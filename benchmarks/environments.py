@@ -1,7 +1,7 @@
 """Environment steps per second, alone, with a policy and with training, against gymnax and Gymnasium's vector classes.
 
 ``python -m benchmarks.environments`` writes ``benchmarks/results/environments.json``. gymnax takes part where it is
-installed (``pip install gymnax``; 1.0.1 asks for gymnasium < 1.4, with which upslope runs too).
+installed (``pip install --no-deps gymnax``: 1.0.1 asks for an older Gymnasium than it needs).
 
 The three levels are the same for all: random actions; the greedy action of a Q-network with two layers of 32; and one
 step of Q-learning on the transitions of every step.
@@ -10,16 +10,18 @@ step of Q-learning on the transitions of every step.
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from jax.sharding import NamedSharding, PartitionSpec
 
 from benchmarks import harness
-from benchmarks.harness import Bar, Part, Row
+from benchmarks.harness import Bar, Part, Row, number
+from benchmarks.host_environments import STEP_SIZE, hosted, on_host
 from upslope.agents.dqn import dqn_loss
 from upslope.maml import descend
 from upslope.networks import QNetwork
@@ -28,12 +30,10 @@ from upslope.run.randomness import unrolled
 from upslope.tasks import cartpoles, obstacle_maps
 from upslope.types import Transition
 
+#: A device for each core; and what a step draws for the resets that it may need.
+ON_ALL_CORES, RESETS = "CartPole, upslope, all cores", "CartPole, upslope, a reset drawn in each step and nothing else"
 LEVELS = ("alone", "with a policy", "with training")
-STEP_SIZE = 1e-3
 FOUR_NUMBERS, WHOLE_MAP = "grid, gymnax (Four Rooms)", "grid, gymnax (Four Rooms, its map shown)"
-
-#: Each holds its map in Python's lists, 60 kB; 20,000 of them take a minute to make.
-_FROZEN_LAKES = 1000
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,14 @@ class Options(harness.Options):
         widths: environments side by side.
         steps: of each width, in one repeat.
         host_steps: of Gymnasium's, which are slower.
+        numpy_steps: of its CartPole in numpy.
         asynchronous: up to how many processes Gymnasium's AsyncVectorEnv is given.
     """
 
     widths: tuple[int, ...] = (1, 200, 20_000)
-    steps: tuple[int, ...] = (20_000, 5_000, 30)
+    steps: tuple[int, ...] = (20_000, 5_000, 200)
     host_steps: tuple[int, ...] = (5_000, 100, 4)
+    numpy_steps: tuple[int, ...] = (5_000, 2_000, 200)
     asynchronous: int = 8
 
 
@@ -74,19 +76,25 @@ class Rival(NamedTuple):
 def main(options: Options) -> None:
     """Times all games, widths and levels in turns."""
     if options.quick:
-        options = replace(options, repeats=1, widths=(20,), steps=(20,), host_steps=(20,), asynchronous=0)
+        options = replace(
+            options, repeats=1, widths=(20,), steps=(20,), host_steps=(20,), numpy_steps=(20,), asynchronous=0
+        )
     set_up_devices(harness.scratch())
     parts: dict[str, Part] = {}
-    for width, steps, host_steps in zip(options.widths, options.steps, options.host_steps, strict=True):
-        host = on_host(width, options)
+    for width, steps, host_steps, numpy_steps in zip(
+        options.widths, options.steps, options.host_steps, options.numpy_steps, strict=True
+    ):
+        host = on_host(width, host_steps, numpy_steps, options.asynchronous)
         for level in LEVELS:
             for rival in rivals():
                 work = {"steps": width * steps}
                 parts[f"{rival.name}, {width:,}, {level}"] = Part(compiled(rival, width, steps, level), work)
-            for name, envs in host.items():
-                parts[f"{name}, {width:,}, {level}"] = Part(
-                    hosted(envs, host_steps, level), {"steps": width * host_steps}
-                )
+            for name, (envs, count) in host.items():
+                parts[f"{name}, {width:,}, {level}"] = Part(hosted(envs, count, level), {"steps": width * count})
+    width, steps = options.widths[-1], options.steps[-1]
+    ours, work = rivals()[0], {"steps": width * steps}
+    parts[f"{ON_ALL_CORES}, {width:,}, alone"] = Part(on_all_cores(ours, width, steps), work)
+    parts[f"{RESETS}, {width:,}"] = Part(resets(ours, width, steps), work)
     rows = harness.time_in_turns(parts, options.repeats)
     harness.write("environments", options, rows, bars=bars(rows, options))
 
@@ -113,7 +121,44 @@ def rivals() -> list[Rival]:
 
 
 def compiled(rival: Rival, width: int, steps: int, level: str) -> Callable[[], object]:
-    """So many steps of so many environments in one program; what is seen is added up, so that nothing is left out."""
+    """So many steps of so many environments in one program, on one device."""
+    program = jax.jit(player(rival, width, steps, level), compiler_options=QUICK_TO_RUN)
+    key, params = unrolled(jax.random.key(2)), rival.params(width)
+    return lambda: program(key, params).block_until_ready()
+
+
+def on_all_cores(rival: Rival, width: int, steps: int) -> Callable[[], object]:
+    """The same at random, the environments shared out to a device for each core."""
+    devices = jax.device_count()
+    mesh, cores = jax.make_mesh((devices,), ("cores",)), PartitionSpec("cores")
+    play = player(rival, width // devices, steps, "alone")
+    share = jax.shard_map(
+        lambda key, params: play(key[0], params)[None], mesh=mesh, in_specs=(cores, cores), out_specs=cores,
+        check_vma=False,
+    )  # fmt: skip
+    program = jax.jit(share, compiler_options=QUICK_TO_RUN)
+    given = (unrolled(jax.random.split(jax.random.key(2), devices)), rival.params(width // devices * devices))
+    key, params = jax.device_put(given, NamedSharding(mesh, cores))
+    return lambda: program(key, params).block_until_ready()
+
+
+def resets(rival: Rival, width: int, steps: int) -> Callable[[], object]:
+    """What steps draw for resets, and nothing else: a part of the budget of a step."""
+    reset = jax.vmap(rival.env.reset)
+
+    @partial(jax.jit, compiler_options=QUICK_TO_RUN)
+    def program(key: jax.Array, params: Any) -> jax.Array:
+        def one_step(total: jax.Array, key: jax.Array) -> tuple[jax.Array, None]:
+            return total + jnp.sum(reset(jax.random.split(key, width), params)[0]), None
+
+        return jax.lax.scan(one_step, jnp.zeros(()), jax.random.split(key, steps))[0]
+
+    key, params = unrolled(jax.random.key(2)), rival.params(width)
+    return lambda: program(key, params).block_until_ready()
+
+
+def player(rival: Rival, width: int, steps: int, level: str) -> Callable[[jax.Array, Any], jax.Array]:
+    """A function of a key and of tasks; what is seen is added up, so that nothing is left out."""
     axis = 0 if rival.stacked else None
     reset = jax.vmap(rival.env.reset, in_axes=(0, axis))
     step = jax.vmap(rival.env.step, in_axes=(0, 0, 0, axis))
@@ -143,89 +188,58 @@ def compiled(rival: Rival, width: int, steps: int, level: str) -> Callable[[], o
         carry = (obs, state, network, jnp.zeros(()), params)
         return jax.lax.scan(one_step, carry, jax.random.split(key, steps))[0][3]
 
-    program = jax.jit(play, compiler_options=QUICK_TO_RUN)
-    key, params = unrolled(jax.random.key(2)), rival.params(width)
-    return lambda: program(key, params).block_until_ready()
-
-
-def on_host(width: int, options: Options) -> dict[str, Any]:
-    """Gymnasium's vector environments, by name: one after the other, in processes, and its CartPole in numpy."""
-    found = {
-        "CartPole, Gymnasium Sync": gym.make_vec("CartPole-v1", width, "sync"),
-        "CartPole, Gymnasium in numpy": gym.make_vec("CartPole-v1", width, "vector_entry_point"),
-    }
-    if width <= _FROZEN_LAKES:
-        lakes = gym.make_vec("FrozenLake-v1", width, "sync", map_name="8x8", is_slippery=False)
-        found["grid, Gymnasium Sync (FrozenLake)"] = lakes
-    if width <= options.asynchronous:
-        kwargs = {"vector_kwargs": {"context": "spawn"}}
-        found["CartPole, Gymnasium Async"] = gym.make_vec("CartPole-v1", width, "async", **kwargs)
-    return found
-
-
-def hosted(envs: Any, steps: int, level: str) -> Callable[[], object]:
-    """The same on the host; the network runs in one compiled call for all environments."""
-    rng = np.random.default_rng(0)
-    width, actions = envs.num_envs, int(envs.single_action_space.n)
-    discrete = isinstance(envs.single_observation_space, gym.spaces.Discrete)
-    inputs = int(envs.single_observation_space.n) if discrete else 4
-    network = QNetwork(jax.random.key(1), inputs, actions)
-
-    def flat(obs: np.ndarray) -> np.ndarray:
-        return np.eye(inputs, dtype=np.float32)[obs] if discrete else obs
-
-    @jax.jit
-    def act(network: QNetwork, obs: jax.Array) -> jax.Array:
-        return jnp.argmax(jax.vmap(network)(obs), axis=-1)
-
-    @jax.jit
-    def improve(network: QNetwork, seen: Transition) -> QNetwork:
-        return descend(network, jax.grad(dqn_loss)(network, network, seen, 3.0), STEP_SIZE)
-
-    obs = envs.reset(seed=0)[0]
-
-    def play() -> None:
-        nonlocal obs, network
-        for _ in range(steps):
-            now = flat(obs)
-            action = rng.integers(actions, size=width) if level == "alone" else np.asarray(act(network, now))
-            obs, reward, terminated, _, _ = envs.step(action)
-            if level == "with training":
-                discount = (0.98 * (1.0 - terminated)).astype(np.float32)
-                network = improve(network, Transition(now, action, reward.astype(np.float32), discount, flat(obs)))
-        jax.block_until_ready(network)
-
     return play
 
 
 def bars(rows: dict[str, Row], options: Options) -> list[Bar]:
     """Not behind gymnax at any width, and far before Gymnasium's SyncVectorEnv at the widest."""
     found = []
-    for ours, theirs in (
-        ("CartPole, upslope", "CartPole, gymnax"),
-        ("grid, upslope", WHOLE_MAP),
-        ("grid, upslope", FOUR_NUMBERS),
-    ):
+    for ours, theirs, bound in _PAIRS:
         for width in options.widths:
             for level in LEVELS:
                 pair = [rows.get(f"{name}, {width:,}, {level}") for name in (ours, theirs)]
                 ratio = pair[0]["steps/s"] / pair[1]["steps/s"] if all(pair) else None
-                found.append(Bar(f"{ours} at {width:,} {level}: not behind {theirs}", ratio, 1.0, bound=_GRID))
+                found.append(Bar(f"{ours} at {width:,} {level}: not behind {theirs}", ratio, 1.0, bound=bound))
     widest = options.widths[-1]
-    pair = [rows.get(f"CartPole, {name}, {widest:,}, alone") for name in ("upslope", "Gymnasium Sync")]
-    ratio = pair[0]["steps/s"] / pair[1]["steps/s"] if all(pair) else None
-    found.append(Bar(f"CartPole at {widest:,}: at least 500 × SyncVectorEnv", ratio, 500, bound=_RANDOM))
-    return found
+    nanoseconds = {
+        name: 1e9 / rows[name]["steps/s"]
+        for name in (
+            f"CartPole, upslope, {widest:,}, alone",
+            f"{ON_ALL_CORES}, {widest:,}, alone",
+            f"{RESETS}, {widest:,}",
+            f"CartPole, Gymnasium Sync, {widest:,}, alone",
+        )
+    }
+    one, all_cores, drawing, sync = nanoseconds.values()
+    what = f"CartPole at {widest:,}, on all cores: at least 500 × SyncVectorEnv"
+    return [*found, Bar(what, sync / all_cores, 500, bound=_budget(one, all_cores, drawing, sync))]
 
 
-_GRID = (
-    "memory, for grids: an observation is the whole map, 256 numbers, where Four Rooms shows four; "
-    "for CartPole see the profile"
-)
+def _budget(one: float, all_cores: float, drawing: float, sync: float) -> str:
+    """Nanoseconds of a step of one environment, and where they go."""
+    return (
+        f"SyncVectorEnv takes {number(sync)} ns a step, so the bar leaves {number(sync / 500)}; upslope takes "
+        f"{number(one)} on one core and {number(all_cores)} on all. Of the {number(one)} about {number(drawing)} are "
+        "the random numbers of a reset, which every environment draws in every step and uses in one of some hundred "
+        "(SyncVectorEnv draws at resets only). The physics wait for coordinates that lie side by side, [n, 4]: in "
+        "arrays of their own they alone took 10 to 14 ns (an exploration)"
+    )
 
-_RANDOM = (
-    "arithmetic of random numbers: every environment draws a reset in every step, four blocks of Threefry, and uses "
-    "one in some hundred of them; SyncVectorEnv draws only at resets"
+
+_PAIRS = (
+    ("CartPole, upslope", "CartPole, gymnax", "random numbers, which both draw for a reset in every step"),
+    (
+        "grid, upslope",
+        WHOLE_MAP,
+        "memory, likely: both make the picture of a whole map in every step, 256 numbers here and 338 there; "
+        "which part takes how long is not measured",
+    ),
+    (
+        "grid, upslope",
+        FOUR_NUMBERS,
+        "memory and arithmetic: an observation is the whole map, 256 numbers where this form of Four Rooms shows four, "
+        "and the first layer of a network on it has 64 times as many weights",
+    ),
 )
 
 if __name__ == "__main__":

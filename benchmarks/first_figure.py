@@ -1,4 +1,4 @@
-"""How long a user waits for Figure 1: from a fresh clone, for a first run, for a second one; and what its parts cost.
+"""How long a user waits for Figure 1: `make demo` in a fresh clone, again, its quick form, and what parts cost.
 
 ``python -m benchmarks.first_figure`` writes ``benchmarks/results/first_figure.json``.
 """
@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import jax
 import tyro
 
 from benchmarks import harness
-from benchmarks.harness import Bar, Part, Row
+from benchmarks.harness import Bar, Part, Row, number
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.meta_training import MetaTraining
 from upslope.potentials import mean_potential, stack
@@ -36,11 +37,9 @@ class Options(harness.Options):
     """What to time.
 
     Attributes:
-        whole: also the whole figure from an empty and from a filled cache: ten minutes more.
-        clone: also the quick figure from a fresh clone, installation included, and a second time; it needs a network.
+        clone: also `make demo` in a fresh clone, twice: eight minutes more, and it needs pip to find packages.
     """
 
-    whole: bool = False
     clone: bool = False
 
 
@@ -48,21 +47,18 @@ def main(options: Options) -> None:
     """Times everything asked for, in turns."""
     set_up_devices(harness.scratch())
     config = MetaTrainingConfig(iterations=20) if options.quick else MetaTrainingConfig()
-    updates = 100 if options.quick else 3000
+    updates = 100 if options.quick else 1000
     parts = {
         f"Algorithm 1, 1 seed ({config.iterations} iterations × 10 tasks)": Part(algorithm1(config, 1)),
         "Algorithm 1, 5 seeds": Part(algorithm1(config, 5)),
-        f"DQN, 200 learners × {updates} updates, shaped by a mean of 5 priors": Part(dqn_learners(updates)),
+        f"DQN, 200 learners × {updates:,} updates, shaped by a mean of 5 priors": Part(dqn_learners(updates)),
     }
     rows = harness.time_in_turns(parts, 1 if options.quick else options.repeats)
-    measured: dict[str, float] = {}
     if not options.quick:
-        rows |= figures(["--quick"], measured)
-    if options.whole:
-        rows |= figures([], measured)
+        rows |= quick_figure()
     if options.clone:
-        rows |= fresh_clone(measured)
-    harness.write("first_figure", options, rows, bars=bars(measured))
+        rows |= fresh_clone()
+    harness.write("first_figure", options, rows, bars=bars(rows))
 
 
 def algorithm1(config: MetaTrainingConfig, seeds: int) -> Callable[[], object]:
@@ -83,80 +79,100 @@ def dqn_learners(updates: int) -> Callable[[], object]:
     return lambda: run(learners, keys, updates=updates, every=100)
 
 
-def figures(arguments: list[str], measured: dict[str, float]) -> dict[str, Row]:
-    """The command as a user types it, as processes of their own; the cache that the first fills warms the second."""
+def quick_figure() -> dict[str, Row]:
+    """The quick form as a user types it, in processes of their own; the cache that the first fills warms the second."""
     rows = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for state in ("empty", "filled"):
-            out = Path(folder) / state
-            command = [sys.executable, "-m", "upslope.cli", "reproduce", "fig1", *arguments, "--out", str(out)]
-            seconds, first = watched(command, out, Path(folder) / "cache", ROOT)
-            name = " ".join(["upslope reproduce fig1", *arguments, f"({state} cache)"])
-            rows[name] = row_of(seconds, first, out)
-            measured[f"{'quick' if arguments else 'whole'}, {state}"] = rows[name]["seconds of computing"]
-    return rows
-
-
-def fresh_clone(measured: dict[str, float]) -> dict[str, Row]:
-    """Clone, install, the quick figure; then the same command again."""
-    rows: dict[str, Row] = {}
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)
-        clone, python = folder / "clone", folder / "clone" / ".venv" / "bin" / "python"
-        steps = {
-            "git clone": ["git", "clone", "-q", ROOT, clone],
-            "install, as make demo does": ["make", f"PYTHON={sys.executable}", ".venv/.installed"],
-        }
-        for name, command in steps.items():
-            began = time.perf_counter()
-            subprocess.run(command, check=True, capture_output=True, cwd=clone if clone.exists() else ROOT)
-            rows[f"fresh clone: {name}"] = harness.spread([time.perf_counter() - began])
-        installed = sum(row["median"] for row in rows.values())
-        for state in ("first", "second"):
+        for state in ("empty", "filled"):
             out = folder / state
-            command = [str(python), "-m", "upslope.cli", "reproduce", "fig1", "--quick", "--out", str(out)]
-            seconds, first = watched(command, out, folder / "cache", clone)
-            rows[f"fresh clone: {state} run"] = row_of(seconds, first, out)
-        measured["clone to picture"] = installed + rows["fresh clone: first run"]["seconds to a picture"]
+            command = [sys.executable, "-m", "upslope.cli", "reproduce", "fig1", "--quick", "--out", str(out)]
+            rows[f"{QUICK} ({state} cache)"] = watched(command, out, folder / "cache", ROOT)
     return rows
 
 
-def watched(command: list[str], out: Path, cache: Path, cwd: Path) -> tuple[float, float]:
-    """Seconds that a process took, and after which its folder held a picture."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH" or cwd == ROOT}
-    environment |= {"UPSLOPE_CACHE": str(cache)}
-    began, first = time.perf_counter(), float("nan")
-    with open(os.devnull, "wb") as nowhere:
-        process = subprocess.Popen(command, env=environment, cwd=cwd, stdout=nowhere, stderr=nowhere)
-        while process.poll() is None:
-            if first != first and any(out.glob("**/*.png")):
-                first = time.perf_counter() - began
-            time.sleep(0.1)
+def fresh_clone() -> dict[str, Row]:
+    """Clone, install, `make demo`, which draws the whole figure; then `make demo` again."""
+    rows: dict[str, Row] = {}
+    with tempfile.TemporaryDirectory() as text:
+        clone = Path(text) / "clone"
+        make = ["make", f"PYTHON={sys.executable}"]
+        for name, command, cwd in (
+            (CLONE, ["git", "clone", "-q", str(ROOT), str(clone)], ROOT),
+            (INSTALL, [*make, ".venv/.installed"], clone),
+        ):
+            done = partial(subprocess.run, command, check=True, capture_output=True, cwd=cwd, env=bare())
+            rows[name] = harness.spread([harness.seconds_of(done)])
+        rows[INSTALL]["MiB installed"] = mebibytes(clone / ".venv")
+        for name in (FIRST, SECOND):
+            rows[name] = watched([*make, "demo"], clone / "runs", Path(text) / "cache", clone)
+    return rows
+
+
+def watched(command: list[str], out: Path, cache: Path, cwd: Path) -> Row:
+    """A figure drawn by a process: when its picture is first there, when all is done, and what of it is computing."""
+    environment = (dict(os.environ) if cwd == ROOT else bare()) | {"UPSLOPE_CACHE": str(cache)}
+    known, first = set(out.rglob("figure.png")), float("nan")
+    began = time.perf_counter()
+    process = subprocess.Popen(command, env=environment, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None:
+        if first != first and set(out.rglob("figure.png")) - known:
+            first = time.perf_counter() - began
+        time.sleep(0.1)
     seconds = time.perf_counter() - began
     if process.returncode:
-        raise SystemExit(f"{' '.join(map(str, command))} failed with {process.returncode}.")
-    return seconds, first if first == first else seconds
-
-
-def row_of(seconds: float, first: float, out: Path) -> Row:
-    """One run of a figure, as a row."""
-    results: dict[str, Any] = json.loads((out / "results.json").read_text(encoding="utf-8"))
+        raise SystemExit(f"{' '.join(command)} failed with {process.returncode}.")
+    (picture,) = set(out.rglob("figure.png")) - known
+    results: dict[str, Any] = json.loads((picture.parent / "results.json").read_text(encoding="utf-8"))
     compiling, running = results["seconds_compiling"], results["seconds_running"]
     row = harness.spread([seconds]) | {"first_call": seconds, "compiling": compiling}
-    return row | {"seconds to a picture": first, "seconds of computing": compiling + running}
+    return row | {FIRST_PICTURE: first if first == first else seconds, COMPUTING: compiling + running}
 
 
-def bars(measured: dict[str, float]) -> list[Bar]:
+def bare() -> dict[str, str]:
+    """The environment without what leads Python to this checkout."""
+    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+
+
+def mebibytes(folder: Path) -> float:
+    """Of all files in a folder."""
+    return sum(path.lstat().st_size for path in folder.rglob("*") if path.is_file()) / 2**20
+
+
+def bars(rows: dict[str, Row]) -> list[Bar]:
     """A picture within three minutes of nothing; a second run within a third of the first one's compute time."""
-    found = [Bar("Fresh clone to a picture, quick form: at most 180 s", measured.get("clone to picture"), 180, True)]
-    for form, why in (("quick", _TRACING), ("whole", "running: nine tenths of the first run is no compiling")):
-        first, second = measured.get(f"{form}, empty"), measured.get(f"{form}, filled")
-        share = second / first if first and second else None
-        found.append(Bar(f"A second run, {form}: at most a third of the first's compute time", share, 1 / 3, True, why))
+    waited = None
+    if FIRST in rows:
+        waited = rows[CLONE]["median"] + rows[INSTALL]["median"] + rows[FIRST][FIRST_PICTURE]
+    found = [Bar("Clone, install and make demo to the first picture: at most 180 s", waited, 180, True, _FIRST)]
+    for form, first, second in (
+        ("make demo, the whole figure", FIRST, SECOND),
+        ("quick form", f"{QUICK} (empty cache)", f"{QUICK} (filled cache)"),
+    ):
+        what = f"A second run, {form}: at most a third of the first's compute time"
+        if second not in rows:
+            found.append(Bar(what, None, 1 / 3, True))
+            continue
+        share = rows[second][COMPUTING] / rows[first][COMPUTING]
+        found.append(Bar(what, share, 1 / 3, True, second_bound(rows[first], rows[second])))
     return found
 
 
-_TRACING = "running, and tracing in Python, neither of which a cache of compiled programs spares: see `compiling`"
+def second_bound(first: Row, second: Row) -> str:
+    """Why a cache of compiled programs can't spare two thirds, in the numbers of the two runs."""
+    compiling, running = first["compiling"] / first[COMPUTING], first[COMPUTING] - first["compiling"]
+    return (
+        f"running: waiting for programs is {compiling:.0%} of the first run's compute time, and a cache can spare no "
+        f"more than that; the other {number(running)} s are the same work again. Of the second run's "
+        f"{number(second[COMPUTING])} s {number(second['compiling'])} are tracing in Python and loading, which it does "
+        "not spare"
+    )
+
+
+QUICK, FIRST, SECOND = "upslope reproduce fig1 --quick", "fresh clone: make demo", "fresh clone: make demo again"
+CLONE, INSTALL = "fresh clone: git clone", "fresh clone: install, as make demo does"
+FIRST_PICTURE, COMPUTING = "seconds to the first picture", "seconds of computing"
+_FIRST = "running: the first panel's priors, oracles and adaptation; see the parts"
 
 
 if __name__ == "__main__":

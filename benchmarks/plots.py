@@ -74,6 +74,8 @@ def throughput(content: Any) -> Any:
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for name, row in content["rows"].items():
         *who, width, level = name.split(", ")
+        if level not in levels:
+            continue  # a part of a step only
         lines.setdefault((", ".join(who), level), []).append((float(width.replace(",", "")), row["steps/s"]))
     for axes, level in zip(panels, levels, strict=True):
         for (who, at), points in lines.items():

@@ -17,13 +17,13 @@ NOTES = Path(__file__).parent / "notes"
 #: Sections in their order: the benchmark, its title, what it is run with, and how long that takes on two quiet cores.
 SECTIONS = (
     ("first_figure", "From nothing to the first figure", " --clone", "5 minutes"),
-    ("meta_training", "Algorithm 1 against PyTorch", "", "5 minutes"),
+    ("meta_training", "Algorithm 1 against PyTorch", "", "12 minutes"),
     ("shaping", "DQN learners against Stable-Baselines3, SBX and CleanRL's manner", "", "5 minutes"),
-    ("environments", "Environments against gymnax and Gymnasium", "", "4 minutes"),
+    ("environments", "Environments against gymnax and Gymnasium", "", "7 minutes"),
     ("wrapper", "The wrapper, a step", "", "1 minute"),
     ("meta_gradient", "The convolutional meta-gradient", "", "5 minutes"),
-    ("scaling", "How time grows", "", "4 minutes"),
-    ("memory", "How memory grows", "", "4 minutes"),
+    ("scaling", "How time grows", "", "6 minutes"),
+    ("memory", "How memory grows", "", "18 minutes"),
     ("devices", "Two cores against one", "", "3 minutes"),
     ("profile", "Where the time goes", "", "4 minutes"),
     ("maps", "Grid games", "", "2 minutes"),
