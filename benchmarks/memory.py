@@ -166,7 +166,7 @@ def going(learner: MetaTraining, seeds: int) -> Callable[[], None]:
 
 def meta_gradient(case: Case) -> Callable[[], Any]:
     """The gradient of Eq. 7 on both sides, with convolutions, one task after the other."""
-    from benchmarks.meta_gradient import INNER_STEP_SIZE, Sizes, network, transitions
+    from benchmarks.convolutional_step import INNER_STEP_SIZE, Sizes, network, transitions
 
     target = "stopped" if case.kind == DEFAULT else "kept"
     config = MetaTrainingConfig(

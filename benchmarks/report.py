@@ -16,7 +16,8 @@ NOTES = Path(__file__).parent / "notes"
 
 #: Sections in their order: the benchmark, its title, what it is run with, and how long that takes on two quiet cores.
 SECTIONS = (
-    ("first_figure", "From nothing to the first figure", " --clone", "5 minutes"),
+    ("first_figure", "From nothing to the first figure", " --clone", "10 minutes"),
+    ("figures", "Quick forms of the figures", "", "15 minutes"),
     ("meta_training", "Algorithm 1 against PyTorch", "", "12 minutes"),
     ("shaping", "DQN learners against Stable-Baselines3, SBX and CleanRL's manner", "", "5 minutes"),
     ("environments", "Environments against gymnax and Gymnasium", "", "7 minutes"),

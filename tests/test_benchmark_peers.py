@@ -10,7 +10,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the peers of the benchmarks are written in PyTorch")
 
-from benchmarks.meta_gradient import INNER_STEP_SIZE, Sizes, network, transitions, upslope_step  # noqa: E402
+from benchmarks.convolutional_step import INNER_STEP_SIZE, Sizes, network, transitions  # noqa: E402
+from benchmarks.meta_gradient import upslope_step  # noqa: E402
 from benchmarks.peers.careful_meta_training import CarefulMetaTraining  # noqa: E402
 from benchmarks.peers.cleanrl_dqn import CleanDQN  # noqa: E402
 from benchmarks.peers.numpy_cartpoles import CartPoles, greedy_returns, numpy_advantages, weights_of  # noqa: E402

@@ -143,7 +143,7 @@ def fastest_form(backend: str | None = None, *, adapted: bool = False) -> Convol
 #: Bits that are left of a factor's mantissa; sums are float32 in any case.
 _MANTISSAS: dict[Precision, int] = {"tensorfloat32": 10, "bfloat16": 7}
 #: JAX's names of what GPUs have units for.
-_ON_GPUS: dict[Precision, str] = {
+ON_GPUS: dict[Precision, str] = {
     "float32": "highest",
     "tensorfloat32": "TF32_TF32_F32",
     "bfloat16": "BF16_BF16_F32",
@@ -166,7 +166,7 @@ def convolve(
         backend: JAX's default one if None.
     """
     if (backend or jax.default_backend()) == "gpu":
-        with jax.default_matmul_precision(_ON_GPUS[precision]):  # what is differentiated inherits it
+        with jax.default_matmul_precision(ON_GPUS[precision]):  # what is differentiated inherits it
             return FORMS[form](images, kernel)
     if precision == "float32":
         return FORMS[form](images, kernel)
