@@ -18,7 +18,7 @@ NOTES = Path(__file__).parent / "notes"
 SECTIONS = (
     ("first_figure", "From nothing to the first figure", " --clone", "10 minutes"),
     ("figures", "Quick forms of the figures", "", "15 minutes"),
-    ("meta_training", "Algorithm 1 against PyTorch", "", "12 minutes"),
+    ("meta_training", "Algorithm 1 against PyTorch", "", "9 minutes"),
     ("shaping", "DQN learners against Stable-Baselines3, SBX and CleanRL's manner", "", "5 minutes"),
     ("environments", "Environments against gymnax and Gymnasium", "", "7 minutes"),
     ("wrapper", "The wrapper, a step", "", "1 minute"),
