@@ -115,7 +115,7 @@ class TestAgainstTheReferee:
             found, expected = value_iteration(table(mdp), tolerance=1e-13), solve(mdp)
             np.testing.assert_allclose(found.value[mdp.ordinary], expected.v[mdp.ordinary], atol=1e-11)
             np.testing.assert_allclose(found.action_value[mdp.ordinary], expected.q[mdp.ordinary], atol=1e-11)
-            best = best_actions(found.action_value, tolerance=1e-8)
+            best = best_actions(found.action_value, relative=0.0, absolute=1e-8)
             np.testing.assert_array_equal(best[mdp.ordinary], greedy_sets(mdp, expected.q))
 
     def test_the_value_of_a_policy_by_linear_algebra(self):

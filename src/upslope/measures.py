@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from upslope.planning import Solution, TabularMDP, best_actions, evaluate_policy, tabulate, value_iteration
+from upslope.planning import Solution, TabularMDP, best_actions, can_earn, evaluate_policy, tabulate, value_iteration
 from upslope.types import Scalar, Task
 
 States = Float[Array, "states"]
@@ -59,8 +59,7 @@ class Measures(NamedTuple):
 def truth(env: Any, task: Task, gamma: float) -> Truth:
     """Plans in one task of a finite environment, whose tasks have a ``start``."""
     mdp = tabulate(env, task, gamma)
-    reach = value_iteration(_positive_rewards_only(mdp)).value > 0
-    return Truth(mdp, value_iteration(mdp), mdp.acting & reach, task.start)
+    return Truth(mdp, value_iteration(mdp), can_earn(mdp), task.start)
 
 
 @eqx.filter_jit

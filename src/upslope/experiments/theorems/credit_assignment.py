@@ -53,13 +53,13 @@ def credit_assignment(maps: Maps, seed: int) -> dict[str, Any]:
 def _one_map(maps: Maps, params: Any, key: Key) -> dict[str, Array]:
     truth = known(maps, params)
     here = truth.states[:, None]
-    optimal = best_actions(truth.solution.action_value, tolerance=ZERO) & here
+    optimal = best_actions(truth.solution.action_value, relative=0.0, absolute=ZERO) & here
     shaped = shape_mdp(truth.mdp, truth.solution.value)
     expected = immediate_rewards(shaped)
     possible = here[..., None] & (shaped.probabilities > 0)
 
     def solved(potential: Float[Array, "states"]) -> Array:
-        best = best_actions(immediate_rewards(shape_mdp(truth.mdp, potential)), tolerance=ZERO)
+        best = best_actions(immediate_rewards(shape_mdp(truth.mdp, potential)), relative=0.0, absolute=ZERO)
         return success(truth.mdp, best / best.sum(axis=-1, keepdims=True), 50)[truth.start]
 
     noise = jax.random.normal(key, (len(NOISE), maps.env.cells))

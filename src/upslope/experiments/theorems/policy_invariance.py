@@ -59,11 +59,11 @@ def _one_map(maps: Maps, params: Any, key: Key) -> tuple[Array, Array, Array]:
     truth = known(maps, params)
     noise = jax.random.normal(key, (maps.env.cells,))
     potentials = jnp.stack([0.1 * noise, noise, -0.1 * manhattan_distance(maps.env, params)])
-    original = best_actions(truth.solution.action_value, tolerance=10 * TOLERANCE)
+    original = best_actions(truth.solution.action_value, relative=0.0, absolute=10 * TOLERANCE)
 
     def compare(mdp: TabularMDP, potential: Float[Array, "states"]) -> tuple[Array, Array, Array]:
         shaped: Solution = value_iteration(mdp, tolerance=TOLERANCE / 100)
-        best = best_actions(shaped.action_value, tolerance=10 * TOLERANCE)
+        best = best_actions(shaped.action_value, relative=0.0, absolute=10 * TOLERANCE)
         changed = jnp.any(best != original, axis=-1, where=truth.states[:, None])
         policy = best / best.sum(axis=-1, keepdims=True)
         solved = success(truth.mdp, policy, 50)[truth.start]
