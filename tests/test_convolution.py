@@ -107,6 +107,26 @@ def test_mapped_over_images_and_over_weights(form):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("form", OTHERS)
+@pytest.mark.parametrize("size", [8, 10])
+def test_single_precision_at_the_size_of_the_paper_s_maps(form, size):
+    """Rounding grows with the channels, and Winograd's sums more than others: by some millionths of the largest."""
+    images, kernel = (part.astype(jnp.float32) for part in images_and_kernel((4, size, size, 32, 32)))
+    kernel = kernel / np.sqrt(9 * 32).astype(np.float32)  # results then are as large as the images
+
+    def all_of(form):
+        def loss(images, kernel):
+            results = form(images, kernel)
+            return jnp.sum(jnp.sin(results) ** 2), results
+
+        slopes, results = jax.jit(jax.grad(loss, (0, 1), has_aux=True))(images, kernel)
+        return results, *slopes
+
+    for ours, theirs in zip(all_of(FORMS[form]), all_of(lax_convolution), strict=True):
+        assert ours.dtype == jnp.float32
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=5e-6 * np.abs(theirs).max())
+
+
 def test_the_form_is_chosen_by_back_end():
     assert fastest_form("cpu") == "winograd"
     assert fastest_form("cpu", adapted=True) == fastest_form("never heard of") == "patches"
