@@ -9,6 +9,7 @@ from support.comparing import assert_trees_close
 from support.plain_grids import as_board, distances, draw, pick
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.envs.grid import read_map
+from upslope.errors import UpslopeError
 from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps, value_tables
 from upslope.experiments.maps.priors import mean_detours
 from upslope.measures import truths
@@ -102,3 +103,19 @@ def test_clean_maps_ask_for_no_detours():
     family = grid_games((5, 6), obstacles=0.0)
     maps = draw(family, 20)
     assert not mean_detours(family, truths(family.env, maps, family.gamma), maps).any()
+
+
+def test_detours_lead_around_traps_at_any_discount():
+    maps = jax.tree.map(lambda leaf: leaf[None], read_map("STG\n...", trap_penalty=0.0))
+    for gamma in (0.9, 0.01):
+        family = grid_games((2, 3), traps=0.1, gamma=gamma)
+        # Four steps instead of two from the start; none too many from the three cells below.
+        detour = mean_detours(family, truths(family.env, maps, gamma), maps)
+        assert detour.tolist() == [2 / 4]
+
+
+def test_slippery_maps_have_no_detours():
+    family = grid_games((3, 3), slip=0.2)
+    maps = draw(family, 2)
+    with pytest.raises(UpslopeError, match="Where moves slip no path is the shortest"):
+        mean_detours(family, truths(family.env, maps, family.gamma), maps)

@@ -9,7 +9,15 @@ from support.plain_grids import as_board, distances, draw, pick
 from upslope.envs.grid import GridGame, read_map
 from upslope.envs.grid_rules import RIGHT
 from upslope.measures import truth, truths
-from upslope.planning import best_actions, can_earn, evaluate_policy, shape_mdp, tabulate, value_iteration
+from upslope.planning import (
+    best_actions,
+    can_earn,
+    evaluate_policy,
+    shape_mdp,
+    steps_to_reward,
+    tabulate,
+    value_iteration,
+)
 from upslope.tasks import grid_games
 
 CORRIDOR = read_map("S" + 198 * "." + "G")
@@ -99,3 +107,4 @@ def test_where_one_can_earn():
     # In the trap and at the goal nothing can be done; from behind the wall there is no way.
     mdp = tabulate(GridGame(1, 6, traps=True), read_map("TS.G#."), 0.9)
     np.testing.assert_array_equal(can_earn(mdp), [False, True, True, False, False, False])
+    np.testing.assert_array_equal(steps_to_reward(mdp), [-1, 2, 1, -1, -1, -1])

@@ -142,18 +142,28 @@ def _iterate(
     return value, residual, count
 
 
-def can_earn(mdp: TabularMDP) -> Bool[Array, "states"]:
-    """Where some positive reward can still be reached, however far off it is; false where one doesn't act."""
+def steps_to_reward(mdp: TabularMDP) -> Int[Array, "states"]:
+    """Steps to the nearest positive reward, with luck where outcomes are random; −1 where none can be reached.
+
+    No state in which one doesn't act is passed through: paths lead around traps.
+    """
     possible = mdp.probabilities > 0
     at_once, going_on = possible & (mdp.rewards > 0), possible & (mdp.discounts > 0)
 
     def spread(carry: tuple) -> tuple:
-        _, found = carry
-        ways = at_once | (going_on & found[mdp.successors])
-        return found, mdp.acting & jnp.any(ways, axis=(-2, -1))
+        steps, _, count = carry
+        ways = at_once | (going_on & (steps >= 0)[mdp.successors])
+        reached = mdp.acting & jnp.any(ways, axis=(-2, -1)) & (steps < 0)
+        return jnp.where(reached, count, steps), jnp.any(reached), count + 1
 
-    nowhere = jnp.zeros_like(mdp.acting)
-    return jax.lax.while_loop(lambda pair: jnp.any(pair[0] != pair[1]), spread, spread((nowhere, nowhere)))[1]
+    nowhere = jnp.full(mdp.acting.shape, -1, jnp.int32)
+    before = (nowhere, jnp.ones((), bool), jnp.ones((), jnp.int32))
+    return jax.lax.while_loop(lambda carry: carry[1], spread, before)[0]
+
+
+def can_earn(mdp: TabularMDP) -> Bool[Array, "states"]:
+    """Where some positive reward can still be reached, however far off it is; false where one doesn't act."""
+    return steps_to_reward(mdp) > 0
 
 
 def best_actions(

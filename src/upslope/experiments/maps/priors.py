@@ -10,13 +10,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.api import best_prior
+from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_for
 from upslope.experiments.maps.readings import GridPriorsConfig, Maps, stage
 from upslope.experiments.results import circumstances
 from upslope.measures import Measures, Truth, dead_units, feature_norm, measure_all, summarise, tables, truths
 from upslope.meta_training import MetaTraining
 from upslope.networks import DuelingQ
-from upslope.planning import lookahead
+from upslope.planning import lookahead, steps_to_reward
 from upslope.prior import Prior
 from upslope.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
@@ -24,7 +25,7 @@ from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, clean_maps, obstacle_maps
-from upslope.tasks.grid_potentials import manhattan_potential
+from upslope.tasks.grid_potentials import manhattan_distance
 from upslope.types import Task
 
 #: Which measures of single maps results.json tells.
@@ -131,11 +132,16 @@ def describe(
 def mean_detours(family: JaxTasks, known: Truth, tasks: Task) -> Float[Array, "tasks"]:
     """By how many steps the shortest path is longer than rows and columns to the goal, a mean over states that count.
 
-    Of maps without traps and slipping, where V* is γ to the power of a path's length, less one.
+    Paths lead around traps. Where moves slip, no path can be kept to.
+
+    Raises:
+        UpslopeError: the family's moves slip.
     """
-    ratios = known.solution.value / manhattan_potential(family, tasks).values
-    steps = jnp.round(jnp.log(jnp.where(known.states, ratios, 1.0)) / jnp.log(family.gamma))
-    return jnp.mean(steps, axis=-1, where=known.states)
+    if family.env.slippery:
+        raise UpslopeError("Where moves slip no path is the shortest: ask for detours of grid_games(slip=0.0).")
+    straight = jax.vmap(lambda one: manhattan_distance(family.env, one))(tasks)
+    detours = jax.vmap(steps_to_reward)(known.mdp) - straight
+    return jnp.mean(detours.astype(float), axis=-1, where=known.states)
 
 
 @eqx.filter_jit
