@@ -1,5 +1,7 @@
 """Pictures of maps: every number, colour and arrow stands in the cell that it belongs to."""
 
+from typing import ClassVar
+
 import jax
 import matplotlib
 import matplotlib.pyplot as plt
@@ -21,6 +23,8 @@ from upslope.experiments.maps.plots import (
     draw_one,
     draw_sheet,
     draw_values,
+    figure_of_one,
+    figure_of_sheet,
     learned_maps,
     spread_by_rank,
 )
@@ -61,6 +65,18 @@ def colour_of_cells(axis):
     }
 
 
+def arrows_on(axis):
+    """Steps of the arrows by (column, row); empty without arrows."""
+    of_axis = [child for child in axis.get_children() if isinstance(child, Quiver)]
+    return {(x, y): (u, v) for one in of_axis for x, y, u, v in zip(*one.XY.T, one.U, one.V, strict=True)}
+
+
+def shown_on(axis):
+    """The numbers behind the one image of an axis."""
+    (image,) = axis.images
+    return np.ma.filled(image.get_array().astype(float), np.nan)
+
+
 def test_a_map_shows_everything_in_its_cell():
     axis = plt.figure().add_subplot()
     draw_map(axis, ONE)
@@ -84,10 +100,52 @@ def test_arrows_point_where_the_best_action_leads(learned):
     q[[0, 1, 4], [RIGHT, DOWN, RIGHT]] = 1.0
     axis = plt.figure().add_subplot()
     draw_arrows(axis, learned._replace(q=q))
-    (arrows,) = [child for child in axis.get_children() if isinstance(child, Quiver)]
-    found = {(x, y): (u, v) for x, y, u, v in zip(*arrows.XY.T, arrows.U, arrows.V, strict=True)}
     # Rows run downwards, so down is a positive step in y.
-    assert found == {(0, 0): (1, 0), (1, 0): (0, 1), (1, 1): (1, 0)}
+    assert arrows_on(axis) == {(0, 0): (1, 0), (1, 0): (0, 1), (1, 1): (1, 0)}
+
+
+class TestTheWholePicture:
+    """Of a map with a V that is nowhere right and a best action that differs between cells."""
+
+    #: Cells 0, 1 and 4 count; V* there is 0.81, 0.9 and 1.
+    value = np.asarray([0.5, 1.2, 9.0, 9.0, 0.7, 9.0], np.float32)
+    ours = ((0.5, 1.2, np.nan), (np.nan, 0.7, np.nan))
+    theirs = ((0.81, 0.9, np.nan), (np.nan, 1.0, np.nan))
+    gap = ((-0.31, 0.3, np.nan), (np.nan, -0.3, np.nan))
+    arrows: ClassVar = {(0, 0): (1, 0), (1, 0): (0, 1), (1, 1): (1, 0)}
+
+    @pytest.fixture
+    def drawn(self, learned):
+        q = np.zeros((6, 4), np.float32)
+        q[[0, 1, 4], [RIGHT, DOWN, RIGHT]] = 1.0
+        return learned._replace(value=self.value, q=q)
+
+    def test_each_panel_shows_its_own_numbers(self, drawn):
+        of_map, *panels = figure_of_one(drawn).axes[:4]
+        assert len(colour_of_cells(of_map)) == 4
+        for axis, expected in zip(panels, (self.ours, self.theirs, self.gap), strict=True):
+            np.testing.assert_allclose(shown_on(axis), expected, atol=1e-6)
+        titles = [axis.get_title() for axis in panels]
+        assert titles == ["learned V and greedy actions", "V*", "learned V − V*"]
+
+    def test_arrows_are_on_the_learned_value_alone(self, drawn):
+        axes = figure_of_one(drawn).axes[:4]
+        assert [arrows_on(axis) for axis in axes] == [{}, self.arrows, {}, {}]
+
+    def test_both_values_share_their_colours_and_no_difference_is_in_the_middle(self, drawn):
+        _, ours, theirs, gap = (axis.images[0].get_clim() for axis in figure_of_one(drawn).axes[:4])
+        assert ours == theirs == pytest.approx((0.5, 1.2))
+        assert gap == pytest.approx((-0.31, 0.31))
+
+    def test_a_sheet_has_pairs(self, drawn, learned):
+        axes = figure_of_sheet([drawn, learned], columns=2).axes
+        np.testing.assert_allclose(shown_on(axes[0]), self.ours, atol=1e-6)
+        for axis in (axes[1], axes[3]):
+            np.testing.assert_allclose(shown_on(axis), self.theirs, atol=1e-6)
+            assert arrows_on(axis) == {}
+        assert arrows_on(axes[0]) == self.arrows
+        own = np.where(learned.states, learned.value, np.nan).reshape(2, 3)
+        np.testing.assert_allclose(shown_on(axes[2]), own, atol=1e-6)
 
 
 def test_learned_maps_carry_each_map_s_own_numbers(network):

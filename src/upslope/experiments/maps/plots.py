@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 
@@ -72,58 +73,64 @@ def _tables_of_all(env: GridGame, maps: GridParams, network: Any) -> Any:
 
 
 def draw_one(learned: LearnedMap, path: Path, *, title: str = "") -> None:
-    """Writes a picture of one map: the map; learned V with arrows of the greedy policy; V*; learned V − V*.
-
-    A PDF is written beside it.
-    """
+    """Writes a picture of one map, which `figure_of_one` makes, and a PDF beside it."""
     with plt.rc_context({"font.size": 9}):
-        figure, axes = plt.subplots(1, 4, figsize=(13, 3.4), layout="constrained")
-        draw_map(axes[0], learned.params)
-        axes[0].set_title(title or "map (start red, goal green)")
-        shared = _range(learned)
-        ours = draw_values(axes[1], learned, learned.value, limits=shared)
-        draw_arrows(axes[1], learned)
-        axes[1].set_title("learned V and greedy actions")
-        theirs = draw_values(axes[2], learned, learned.optimal_value, limits=shared)
-        axes[2].set_title("V*")
-        gap = learned.value - learned.optimal_value
-        size = max(float(np.abs(gap[learned.states]).max()), 1e-6)
-        difference = draw_values(axes[3], learned, gap, limits=(-size, size), colours=DIFFERENCES)
-        axes[3].set_title("learned V − V*")
-        for image, axis in ((ours, axes[1]), (theirs, axes[2]), (difference, axes[3])):
-            figure.colorbar(image, ax=axis, shrink=0.85)
-        figure.suptitle(caption(learned.measures), fontsize=9)
+        figure = figure_of_one(learned, title=title)
         figure.savefig(path, dpi=150)
         figure.savefig(path.with_suffix(".pdf"))
         plt.close(figure)
 
 
-def draw_sheet(maps: list[LearnedMap], path: Path, *, columns: int = 6, title: str = "") -> None:
-    """Writes a sheet of pairs, learned V with arrows beside V*, in the order given (see `spread_by_rank`).
+def figure_of_one(learned: LearnedMap, *, title: str = "") -> Figure:
+    """The map; learned V with arrows of the greedy policy; V*; learned V − V*: its first four axes, in this order."""
+    figure, axes = plt.subplots(1, 4, figsize=(13, 3.4), layout="constrained")
+    draw_map(axes[0], learned.params)
+    axes[0].set_title(title or "map (start red, goal green)")
+    shared = _range(learned)
+    ours = draw_values(axes[1], learned, learned.value, limits=shared)
+    draw_arrows(axes[1], learned)
+    axes[1].set_title("learned V and greedy actions")
+    theirs = draw_values(axes[2], learned, learned.optimal_value, limits=shared)
+    axes[2].set_title("V*")
+    gap = learned.value - learned.optimal_value
+    size = max(float(np.abs(gap[learned.states]).max()), 1e-6)
+    difference = draw_values(axes[3], learned, gap, limits=(-size, size), colours=DIFFERENCES)
+    axes[3].set_title("learned V − V*")
+    for image, axis in ((ours, axes[1]), (theirs, axes[2]), (difference, axes[3])):
+        figure.colorbar(image, ax=axis, shrink=0.85)
+    figure.suptitle(caption(learned.measures), fontsize=9)
+    return figure
 
-    A PDF is written beside it.
-    """
-    rows = -(-len(maps) // columns)
+
+def draw_sheet(maps: list[LearnedMap], path: Path, *, columns: int = 6, title: str = "") -> None:
+    """Writes a sheet of maps, which `figure_of_sheet` makes, and a PDF beside it."""
     with plt.rc_context({"font.size": 7}):
-        figure, axes = plt.subplots(
-            rows, 2 * columns, figsize=(2.5 * columns, 1.62 * rows + 0.3), squeeze=False, layout="constrained"
-        )
-        for axis in axes.ravel():
-            axis.axis("off")
-        for index, learned in enumerate(maps):
-            row, column = divmod(index, columns)
-            left, right = axes[row, 2 * column], axes[row, 2 * column + 1]
-            shared = _range(learned)
-            draw_values(left, learned, learned.value, limits=shared)
-            draw_arrows(left, learned)
-            draw_values(right, learned, learned.optimal_value, limits=shared)
-            solved = "solved" if learned.measures.success > 0.5 else "not solved"
-            left.set_title(f"{float(learned.measures.rank_correlation):.2f}, {solved}", loc="left")
-            right.set_title("V*")
-        figure.suptitle(title or "learned V with greedy actions, and V*; rank correlation, from worst to best")
+        figure = figure_of_sheet(maps, columns=columns, title=title)
         figure.savefig(path, dpi=130)
         figure.savefig(path.with_suffix(".pdf"))
         plt.close(figure)
+
+
+def figure_of_sheet(maps: list[LearnedMap], *, columns: int = 6, title: str = "") -> Figure:
+    """Pairs of axes, learned V with arrows beside V*, in the order given (see `spread_by_rank`)."""
+    rows = -(-len(maps) // columns)
+    figure, axes = plt.subplots(
+        rows, 2 * columns, figsize=(2.5 * columns, 1.62 * rows + 0.3), squeeze=False, layout="constrained"
+    )
+    for axis in axes.ravel():
+        axis.axis("off")
+    for index, learned in enumerate(maps):
+        row, column = divmod(index, columns)
+        left, right = axes[row, 2 * column], axes[row, 2 * column + 1]
+        shared = _range(learned)
+        draw_values(left, learned, learned.value, limits=shared)
+        draw_arrows(left, learned)
+        draw_values(right, learned, learned.optimal_value, limits=shared)
+        solved = "solved" if learned.measures.success > 0.5 else "not solved"
+        left.set_title(f"{float(learned.measures.rank_correlation):.2f}, {solved}", loc="left")
+        right.set_title("V*")
+    figure.suptitle(title or "learned V with greedy actions, and V*; rank correlation, from worst to best")
+    return figure
 
 
 def spread_by_rank(correlations: Float[np.ndarray, "maps"], count: int) -> Int[np.ndarray, "count"]:
