@@ -1,5 +1,6 @@
 """The slow tier: real training, on seeds and tasks that nothing was tuned on. `make test-slow` runs it."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -7,8 +8,9 @@ from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.poles.figure1 import Figure1Config, figure1
 from upslope.experiments.priors import meta_train_priors, zero_shot_returns
 from upslope.experiments.results import FigureResult
-from upslope.recipes import MetaTrainingConfig, as_printed
-from upslope.tasks import cartpoles
+from upslope.measures import measure_all, truths
+from upslope.recipes import MetaTrainingConfig, as_printed, for_grid_games
+from upslope.tasks import cartpoles, obstacle_maps
 
 pytestmark = pytest.mark.slow
 FRESH = 500
@@ -46,3 +48,16 @@ def test_shaping_pays(figure: FigureResult, panel: str, gain: float) -> None:
 def test_algorithm_2_is_ahead_of_maml_from_a_half_trained_prior(figure: FigureResult) -> None:
     arms = figure.panels["left"].arms
     assert arms["algorithm2"].returns.mean() > arms["maml"].returns.mean()
+
+
+def test_a_tenth_of_the_training_on_maps_orders_the_cells_of_unseen_ones() -> None:
+    """After 600 of 6000 iterations: means of 0.51 and 0.43 were measured; an untrained V knows no order."""
+    priors = meta_train_priors(obstacle_maps("train"), for_grid_games(600), FRESH, 2)
+    unseen = obstacle_maps("test")
+    maps = unseen.sample_many(key_for(FRESH, Purpose.TEST_TASKS), 40)
+    known = truths(unseen.env, maps, unseen.gamma)
+    for seed in range(2):
+        network = jax.tree.map(lambda leaf, index=seed: leaf[index], priors.final)
+        measures = measure_all(unseen.env, known, maps, network, unseen.max_steps)
+        assert np.mean(measures.rank_correlation) >= 0.3
+        assert np.mean(measures.action_optimality) >= 0.3
