@@ -88,6 +88,17 @@ class TestTheorem31:
         assert found["sets_equal"] == 1
         assert found["single_largest"] > 0.1, "a lucky slip"
 
+    @pytest.mark.parametrize("kind", ["clean 10×10", "traps 8×8", "traps, slippery 8×8"])
+    def test_on_a_hundred_maps_of_the_other_kinds(self, kind):
+        maps = draw_maps(kinds()[kind], 100, seed=6)
+        with jax.enable_x64(True):
+            found = credit_assignment(maps, seed=6)
+        assert found["states"] > 2000
+        assert found["optimal_size"] < 1e-8
+        assert found["other_largest"] < 0
+        assert found["sets_equal"] == 1
+        assert (found["single_largest"] > 0.1) == ("slippery" in kind), "a lucky slip"
+
     def test_by_hand(self):
         # Φ = V* = 0.81, 0.9, 1, 0: ahead costs nothing, staying (γ − 1)·V*, going back γ·V*(s') − V*(s).
         mdp = tabulate(GridGame(1, 4), read_map("S..G"), GAMMA)
