@@ -219,7 +219,7 @@ def _budget(one: float, all_cores: float, drawing: float, sync: float) -> str:
     """Nanoseconds of a step of one environment, and where they go."""
     return (
         f"SyncVectorEnv takes {number(sync)} ns a step, so the bar leaves {number(sync / 500)}; upslope takes "
-        f"{number(one)} on one core and {number(all_cores)} on all. Of the {number(one)} about {number(drawing)} are "
+        f"{number(one)} on one device, and {number(all_cores)} on a device for each core. About {number(drawing)} are "
         "the random numbers of a reset, which every environment draws in every step and uses in one of some hundred "
         "(SyncVectorEnv draws at resets only). The physics wait for coordinates that lie side by side, [n, 4]: in "
         "arrays of their own they alone took 10 to 14 ns (an exploration)"
