@@ -84,7 +84,8 @@ def throughput(content: Any) -> Any:
                 axes.plot(*zip(*points, strict=True), style, marker="o", label=who)
         axes.set_title(level)
         _logarithmic(axes, "environments", "steps per second" if axes is panels[0] else "", legend=False)
-    panels[-1].legend(fontsize=8, bbox_to_anchor=(1.02, 1), loc="upper left")
+    # The first panel has all of them, those that are timed alone only too.
+    panels[-1].legend(*panels[0].get_legend_handles_labels(), fontsize=8, bbox_to_anchor=(1.02, 1), loc="upper left")
     return figure
 
 
