@@ -65,8 +65,8 @@ def test_the_budget_of_a_step():
     rows[f"{environments.RESETS}, 20,000"] = {"steps/s": 2.5e7}
     bar = environments.bars(rows, options)[-1]
     assert bar.measured == 200
-    assert "takes 10,000 ns a step, so the bar leaves 20.0; upslope takes 100 on one core and 50.0 on all" in bar.bound
-    assert "about 40.0 are" in bar.bound
+    assert "takes 10,000 ns a step, so the bar leaves 20.0; upslope takes 100 on one device" in bar.bound
+    assert "and 50.0 on a device for each core. About 40.0 are" in bar.bound
 
 
 def test_means_are_compared_in_standard_errors():
