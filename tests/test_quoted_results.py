@@ -120,6 +120,15 @@ class TestGrids:
             )
             assert f"| `{name}` | {' | '.join(cells)} |" in self.TEXT
 
+    def test_readings(self) -> None:
+        readings = json.loads((ROOT / "docs" / "data" / "grid-readings" / "results.json").read_text())["readings"]
+        for name, row in readings.items():
+            cells = (
+                f"{np.mean(seeds):.2f} ({min(seeds):.2f} to {max(seeds):.2f})"
+                for seeds in (row["final"][measure] for measure in ("rank_correlation", "action_optimality", "success"))
+            )
+            assert f"| `{name}` | {row['what']} | {' | '.join(cells)} |" in self.TEXT
+
     def test_adaptation(self) -> None:
         left = json.loads((ROOT / "docs" / "data" / "fig5" / "results.json").read_text())["panels"]["left"]
         for name in left["arms"]:
