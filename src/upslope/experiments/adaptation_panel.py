@@ -100,10 +100,11 @@ def adaptation_panel(
     before = np.asarray(adapt_all(learners, keys, "before adaptation", updates=1).reports["return"])[..., 0]
     zero_shot = (np.median if panel.average == "median" else np.mean)(before, axis=(1, 2))
     shown = str(panel.stops[int(np.abs(zero_shot - panel.start).argmin())])
+    tuning_tasks, tuning_keys = tuning.of_tasks(tuning_tasks), tuning.of_keys(keys)
     for number, name in enumerate(rules):
         rule = one_of(rules, number)
-        learners = adaptation_learners(family, starts, rule, config, tuning.of_tasks(tuning_tasks), tried)
-        tuned = adapt_all(learners, tuning.of_keys(keys), f"tuning {name}")
+        learners = adaptation_learners(family, starts, rule, config, tuning_tasks, tried)
+        tuned = adapt_all(learners, tuning_keys, f"tuning {name}")
         scores = tuning.by_size(np.asarray(tuned.reports["return"]))
         means = scores.mean(axis=(1, 2, 4))
         best = np.asarray(panel.step_sizes)[means.argmax(axis=1)]
