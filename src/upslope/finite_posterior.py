@@ -18,6 +18,7 @@ from upslope.losses import dueling_q, td_loss
 from upslope.maml import adapt
 from upslope.networks import DuelingQ
 from upslope.policies import EpsilonGreedy
+from upslope.recipes import MetaTrainingConfig
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Key, Scalar, Task
 
@@ -147,6 +148,19 @@ def posterior_weights(
         return jax.vmap(network)(observations)
 
     return q(adapt(lambda network, experience: mean_td_loss(q(network), experience), theta, experience, **inner))
+
+
+def outer_loss_in_all_states(theta: DuelingQ, samples: FiniteSamples, config: MetaTrainingConfig) -> Scalar:
+    """Eq. 7 for one finite task, φ_i adapted from θ to all of D_i as ``config.posterior`` says."""
+    steps, q_prior = samples.steps, jax.vmap(theta)(samples.observations)
+    if config.posterior == "table":
+        base = jax.lax.stop_gradient(q_prior) if samples.base is None else samples.base
+        q = posterior_table(base, steps, step_size=config.inner_step_size, inner_steps=config.inner_steps)
+    else:
+        adapted = posterior_heads if config.posterior == "heads" else posterior_weights
+        q = adapted(jax.lax.stop_gradient(theta), samples.observations, steps, **config.inner)
+    weights = {"reward_weight": config.reward_weight, "advantage_weight": config.advantage_weight}
+    return table_distance(q_prior, q, steps, **weights)
 
 
 def table_distance(

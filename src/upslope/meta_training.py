@@ -12,15 +12,7 @@ from jaxtyping import Array, Float
 
 from upslope.convolution import fastest_form
 from upslope.errors import UpslopeError
-from upslope.finite_posterior import (
-    FiniteSamples,
-    collect_steps,
-    posterior_heads,
-    posterior_table,
-    posterior_weights,
-    q_tables,
-    table_distance,
-)
+from upslope.finite_posterior import FiniteSamples, collect_steps, outer_loss_in_all_states, q_tables
 from upslope.learner import AbstractTaskLearner, vital_signs
 from upslope.losses import prior_learning_loss, td_loss
 from upslope.maml import adapt, gradient_task_by_task
@@ -186,23 +178,10 @@ class MetaTraining(AbstractTaskLearner):
         """Eq. 7 for one task, with φ_i adapted from θ by Eq. 2 on the TD error of Eq. 5."""
         config = self.config
         if isinstance(samples, FiniteSamples):
-            return self.outer_loss_in_all_states(theta, samples)
+            return outer_loss_in_all_states(theta, samples, config)
         how = {"first_order": config.first_order, "rematerialise": config.rematerialise}
-        phi = adapt(self.task_td_loss, theta, samples, **self._inner(), **how)
+        phi = adapt(self.task_td_loss, theta, samples, **config.inner, **how)
         return self.distance_to_posterior(theta, phi, samples)
-
-    def outer_loss_in_all_states(self, theta: DuelingQ, samples: FiniteSamples) -> Scalar:
-        """The same for a finite task, φ_i adapted to all of D_i."""
-        config, steps = self.config, samples.steps
-        q_prior = jax.vmap(theta)(samples.observations)
-        if config.posterior == "table":
-            base = jax.lax.stop_gradient(q_prior) if samples.base is None else samples.base
-            q = posterior_table(base, steps, step_size=config.inner_step_size, inner_steps=config.inner_steps)
-        else:
-            adapted = posterior_heads if config.posterior == "heads" else posterior_weights
-            q = adapted(jax.lax.stop_gradient(theta), samples.observations, steps, **self._inner())
-        weights = {"reward_weight": config.reward_weight, "advantage_weight": config.advantage_weight}
-        return table_distance(q_prior, q, steps, **weights)
 
     def task_td_loss(self, network: DuelingQ, samples: TaskSamples) -> Scalar:
         """Mean of Eq. 5 over one task's batch."""
@@ -228,15 +207,6 @@ class MetaTraining(AbstractTaskLearner):
         tasks = jax.tree.map(lambda leaf: jnp.repeat(leaf, self.config.evaluation_episodes, axis=0), tasks)
         returns = self.family.returns(episode_key, tasks, Greedy(state.average))
         return {"return": jnp.mean(returns), "prior": state.average}
-
-    def _inner(self) -> dict[str, Any]:
-        """The inner steps' settings."""
-        config = self.config
-        return {
-            "step_size": config.inner_step_size,
-            "steps": config.inner_steps,
-            "normalised": config.normalised_steps,
-        }
 
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config

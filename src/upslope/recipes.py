@@ -1,7 +1,7 @@
 """Algorithm 1's settings: the recipe that works, which is the default, and the paper to the letter."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -108,6 +108,15 @@ class MetaTrainingConfig:
         for name, share in (*shares.items(), *(("epsilon", share) for share in self.epsilon)):
             if not 0 <= share <= 1:
                 raise UpslopeError(f"{name} is {share}, but it is a share: give a number from 0 to 1.")
+
+    @property
+    def inner(self) -> dict[str, Any]:
+        """The inner steps, as `upslope.maml.adapt` takes them."""
+        return {
+            "step_size": self.inner_step_size,
+            "steps": self.inner_steps,
+            "normalised": self.normalised_steps,
+        }
 
     def best_snapshot(self, returns: Float[np.ndarray, "snapshots"]) -> int:
         """Which snapshot becomes the prior: of those after ``select_from``, the best on extra training tasks.
