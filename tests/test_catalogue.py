@@ -69,9 +69,14 @@ class TestRefusals:
 
 def test_panels_are_made_as_they_are_asked_for():
     assert planned("fig1", panels=("right", "middle")).panels == ("right", "middle")
-    assert planned("fig3", panels=("right", "middle")).panels == ("right",)
-    with pytest.raises(UpslopeError, match="fig3 has no middle panel: choose left, right or both"):
-        planned("fig3", panels=("middle",))
+    assert planned("fig3", panels=("right", "left")).panels == ("right", "left")
+    assert planned("fig3").panels == ("left", "right")
+    for asked in (("middle",), ("right", "middle")):
+        with pytest.raises(UpslopeError, match="fig3 has no middle panel: choose left, right or both"):
+            planned("fig3", panels=asked)
+    assert planned("deviations").panels == ()
+    with pytest.raises(UpslopeError, match="deviations has no panels to choose among: leave --panels out"):
+        planned("deviations", panels=("right",))
 
 
 @pytest.mark.parametrize(("figure", "begins_as"), [("fig3", "fig2"), ("fig5", "fig4")])

@@ -15,7 +15,7 @@ from upslope.agents.dqn import DQNConfig
 from upslope.errors import UpslopeError
 from upslope.experiments import catalogue
 from upslope.experiments.adaptation_panel import RULES, AdaptationPanel
-from upslope.experiments.maps.figures import GridFigureConfig, grid_figure, quick_grid_figure, with_iterations
+from upslope.experiments.maps.figures import GridFigureConfig, full_grid_figure, grid_figure, quick_grid_figure
 from upslope.experiments.maps.priors import families
 from upslope.recipes import for_grid_games, multi_task_dqn
 from upslope.run.session import Session
@@ -39,25 +39,32 @@ TINY = GridFigureConfig(
 
 class TestSettings:
     def test_iterations_move_the_stops_along(self):
-        config = with_iterations(GridFigureConfig("clean"), 2400)
+        config = full_grid_figure("obstacles", 2400)
         assert config.meta_training.iterations == config.multi_task.iterations == 2400
         assert config.panel.stops == (600, 1200, 2400)
         assert config.meta_training == for_grid_games(2400)
 
+    @pytest.mark.parametrize(("maps", "iterations"), [("obstacles", 6000), ("clean", 3000)])
+    def test_the_whole_protocol(self, maps, iterations):
+        config = full_grid_figure(maps)
+        assert config.meta_training == for_grid_games(iterations)
+        assert config.multi_task == multi_task_dqn(iterations)
+        assert (config.seeds, config.tasks, config.panel.stops[-1]) == (5, 40, iterations)
+
     def test_the_quick_form_keeps_the_recipes(self):
-        config = quick_grid_figure(GridFigureConfig("obstacles"))
+        config = quick_grid_figure(full_grid_figure("obstacles"))
         assert config.meta_training.inner_steps == 30
         assert config.multi_task.inner_steps == 1
-        assert config.dqn == GridFigureConfig("obstacles").dqn
+        assert config.dqn == full_grid_figure("obstacles").dqn
 
     @pytest.mark.parametrize("settings", [{"seeds": 0}, {"tasks": 0}])
     def test_nothing_makes_no_figure(self, settings):
         with pytest.raises(UpslopeError, match="make no figure"):
-            GridFigureConfig("clean", **settings)
+            replace(full_grid_figure("clean"), **settings)
 
     def test_no_iterations_teach_nothing(self):
         with pytest.raises(UpslopeError, match="0 iterations"):
-            with_iterations(GridFigureConfig("clean"), 0)
+            full_grid_figure("clean", 0)
 
     @pytest.mark.parametrize(
         ("arguments", "message"),

@@ -45,7 +45,7 @@ class Reproduce:
     panels: tuple[Literal["left", "middle", "right"], ...] = ("left", "middle", "right")
     """Which panels."""
     iterations: int | None = None
-    """Of meta-training, for fig2 to fig5 and both studies of it on maps; fewer than 6,000 make weaker priors."""
+    """Of meta-training, for fig2 to fig5 and both studies of it on maps; fewer than their own make weaker priors."""
     priors_of: Path | None = None
     """The folder of fig2 or fig4: fig3 and fig5 begin with the same priors, and need not train them again."""
     resume: bool = False

@@ -26,7 +26,7 @@ class Options:
         seeds: how many.
         tasks: how many unseen ones.
         first_seed: how far the seeds are moved; the test tasks move along.
-        panels: of a figure; others have none, and heed none.
+        panels: of a figure; all stands for those that it has.
         iterations: of meta-training.
         priors_of: the folder of another figure, whose priors are taken instead of trained anew.
     """
@@ -127,6 +127,9 @@ class Experiment(Generic[Settings, Results]):
             asked = getattr(options, count)
             if asked is not None and asked < 1:
                 raise UpslopeError(f"{asked} {count} make no figure: give at least 1.")
-        if self.panels and not set(options.panels) & set(self.panels):
-            lacking = ", ".join(panel for panel in PANELS if panel in options.panels)
-            raise UpslopeError(f"{name} has no {lacking} panel: choose {', '.join(self.panels)} or both.")
+        lacking = [panel for panel in PANELS if panel in options.panels and panel not in self.panels]
+        if set(options.panels) == set(PANELS) or not lacking:
+            return
+        if not self.panels:
+            raise UpslopeError(f"{name} has no panels to choose among: leave --panels out.")
+        raise UpslopeError(f"{name} has no {lacking[0]} panel: choose {', '.join(self.panels)} or both.")

@@ -9,10 +9,10 @@ from upslope.experiments.experiment import PANELS, Experiment, Plan
 from upslope.experiments.maps.figures import (
     GRID_PANELS,
     GridFigureConfig,
+    full_grid_figure,
     grid_figure,
     quick_grid_figure,
     stages,
-    with_iterations,
 )
 from upslope.experiments.maps.readings import Maps
 from upslope.experiments.plots import draw
@@ -55,14 +55,14 @@ FIGURE_1 = Experiment(Figure1Config, quick, _run_on_poles, _write, _tell, panels
 
 def figure_on(maps: Maps) -> Experiment[GridFigureConfig, FigureResult]:
     """Figure 3 on clean maps, Figure 5 on those with obstacles; both may begin with the priors of 2 or 4."""
-    full = partial(GridFigureConfig, maps)
+    full = partial(full_grid_figure, maps)
     return Experiment(
         full,
         quick_grid_figure,
         _run_on_maps,
         _write,
         _tell,
-        with_iterations=lambda iterations: with_iterations(full(), iterations),
+        with_iterations=full,
         panels=GRID_PANELS,
         trainings=lambda settings: stages(settings.maps),
         show=_show,

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from upslope.agents.adaptation import AdaptationConfig, AdvantageHead, UpdateRule
 from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
 from upslope.experiments.keys import Purpose, key_for
-from upslope.experiments.maps.figures import GridFigureConfig
+from upslope.experiments.maps.figures import full_grid_figure
 from upslope.experiments.maps.priors import families
 from upslope.experiments.priors import meta_train_priors
 from upslope.experiments.results import EPISODE_LENGTH, SUCCESS, Panel, Score, circumstances
@@ -58,7 +58,7 @@ def quick_step_ratio(config: StepRatioConfig) -> StepRatioConfig:
 def step_ratio(config: StepRatioConfig, session: Session | None = None) -> dict[str, Any]:
     """Adapts with every ratio, each at its own best step size, and returns the content of results.json."""
     rules: dict[str, UpdateRule] = {f"{ratio:g}": AdvantageHead(value_step=ratio) for ratio in config.ratios}
-    figure = GridFigureConfig("obstacles")
+    figure = full_grid_figure("obstacles")
     settings = {
         "poles": _Setting(
             cartpoles(),

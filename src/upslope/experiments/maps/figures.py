@@ -15,7 +15,7 @@ from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_pan
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps
 from upslope.experiments.maps.priors import families
-from upslope.experiments.maps.readings import Maps, quick_reading, stage
+from upslope.experiments.maps.readings import ITERATIONS, Maps, quick_reading, stage
 from upslope.experiments.priors import Priors, describe_priors, meta_train_priors
 from upslope.experiments.results import SUCCESS, FigureResult, Panel, differences
 from upslope.experiments.shaping_panel import shaping_panel
@@ -29,38 +29,38 @@ from upslope.types import Task
 GridPanelName = Literal["left", "right"]
 GRID_PANELS: tuple[GridPanelName, ...] = ("left", "right")
 
+#: Iterations at which the left panel stops Algorithm 1: two at which success on training maps shows that something is
+#: left to learn, and the end.
+STOPS: dict[Maps, tuple[int, ...]] = {"obstacles": (1500, 3000, 6000), "clean": (561, 748, 3000)}
+
 
 @dataclass(frozen=True)
 class GridFigureConfig:
-    """The whole protocol of Figures 3 and 5.
+    """A protocol of Figures 3 and 5; `full_grid_figure` has the whole one.
 
     Attributes:
         maps: "clean" for Figure 3 (10 × 10, no test goal ever a training goal), "obstacles" for Figure 5 (8 × 8).
+        meta_training: Algorithm 1.
+        multi_task: the control, plain DQN over all training maps; an iteration takes a little longer.
+        panel: stops and step sizes of the left panel.
         seeds: priors, and runs per map.
         tasks: unseen maps.
         first_seed: seeds are first_seed, first_seed + 1, …; the test maps are drawn by it too.
         dqn_updates: length of the right panel.
         every: updates between evaluations there.
-        meta_training: Algorithm 1.
-        multi_task: the control, plain DQN over all training maps; an iteration takes a little longer.
-        panel: stops and step sizes of the left panel.
         adaptation: sizes of batches and replay in the left panel.
         dqn: the learner of the right panel.
     """
 
     maps: Maps
+    meta_training: MetaTrainingConfig
+    multi_task: MetaTrainingConfig
+    panel: AdaptationPanel
     seeds: int = 5
     tasks: int = 40
     first_seed: int = 0
     dqn_updates: int = 300
     every: int = 25
-    meta_training: MetaTrainingConfig = field(default_factory=for_grid_games)
-    multi_task: MetaTrainingConfig = field(default_factory=multi_task_dqn)
-    panel: AdaptationPanel = field(
-        default_factory=lambda: AdaptationPanel(
-            stops=(1500, 3000, 6000), updates=20, step_sizes=(0.001, 0.003, 0.01, 0.03), start=0.5, average="mean"
-        )
-    )
     adaptation: AdaptationConfig = field(default_factory=adaptation.for_maps)
     dqn: DQNConfig = field(default_factory=dqn.for_maps)
 
@@ -69,16 +69,20 @@ class GridFigureConfig:
             raise UpslopeError(f"{self.seeds} seeds on {self.tasks} maps make no figure: give at least 1 of each.")
 
 
-def with_iterations(config: GridFigureConfig, iterations: int) -> GridFigureConfig:
-    """The figure with shorter or longer meta-training: both recipes alike, the left panel's stops in proportion."""
+def full_grid_figure(maps: Maps, iterations: int | None = None) -> GridFigureConfig:
+    """The whole protocol; with shorter or longer meta-training the left panel's stops move in proportion."""
+    usual = ITERATIONS[maps]
+    iterations = usual if iterations is None else iterations
     if iterations < 1:
         raise UpslopeError(f"{iterations} iterations teach nothing: give at least 1.")
-    stops = tuple(max(1, stop * iterations // config.meta_training.iterations) for stop in config.panel.stops)
-    return replace(
-        config,
+    stops = tuple(max(1, stop * iterations // usual) for stop in STOPS[maps])
+    return GridFigureConfig(
+        maps,
         meta_training=for_grid_games(iterations),
         multi_task=multi_task_dqn(iterations),
-        panel=replace(config.panel, stops=stops),
+        panel=AdaptationPanel(
+            stops=stops, updates=20, step_sizes=(0.001, 0.003, 0.01, 0.03), start=0.5, average="mean"
+        ),
     )
 
 
