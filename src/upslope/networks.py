@@ -154,7 +154,10 @@ class DuelingQ(eqx.Module):
 
     def heads(self, obs: Observation) -> tuple[Scalar, Float[Array, "actions"]]:
         """V(s) and the raw A(s, ·), from one pass through the torso."""
-        features = self.torso(obs)
+        return self.heads_on(self.torso(obs))
+
+    def heads_on(self, features: Float[Array, "units"]) -> tuple[Scalar, Float[Array, "actions"]]:
+        """V(s) and the raw A(s, ·), given what the torso makes of s."""
         return self.value_head(features)[0], self.advantage_head(features)
 
     def value(self, obs: Observation) -> Scalar:
