@@ -27,7 +27,13 @@ ACTIVATIONS: dict[str, Callable] = {"relu": jax.nn.relu, "tanh": jnp.tanh}
 
 
 class MLP(eqx.Module):
-    """Inputs times a fixed scale, then fully connected layers: the shared torso."""
+    """Inputs times a fixed scale, then fully connected layers: the shared torso.
+
+    Attributes:
+        layers: one after the other.
+        scale: of each input, or one of all.
+        activation: after each layer.
+    """
 
     layers: tuple[eqx.nn.Linear, ...]
     scale: Scale = eqx.field(static=True)
@@ -39,7 +45,7 @@ class MLP(eqx.Module):
         widths = (inputs, *hidden)
         keys = jax.random.split(key, len(hidden))
         self.layers = tuple(eqx.nn.Linear(n, m, key=k) for n, m, k in zip(widths[:-1], hidden, keys, strict=True))
-        self.scale = scale if scale is not None else (1.0,) * inputs
+        self.scale = scale if scale is not None else (1.0,)
         self.activation = activation
 
     @property
@@ -105,7 +111,7 @@ def convolutional_torso(
         kernels=tuple(kernel(k, (3, 3, n, m)) for k, n, m in pairs),
         biases=tuple(jnp.zeros(m) for m in channels),
         dense=MLP(keys[-1], height * width * channels[-1], hidden, activation=activation),
-        scale=scale if scale is not None else (1.0,) * inputs,
+        scale=scale if scale is not None else (1.0,),
         activation=activation,
         convolution=fastest_form(),
     )

@@ -76,7 +76,8 @@ def _fully_connected(torso: MLP) -> Callable[[np.ndarray], np.ndarray]:
     the weights, biases as the weights of ones; and features are rows, so that those before the ones lie together.
     """
     first, *others = torso.layers
-    weights = [_weights(first) * np.asarray([*torso.scale, 1.0], np.float32), *map(_weights, others)]
+    scale = np.broadcast_to(np.asarray(torso.scale, np.float32), first.in_features)
+    weights = [_weights(first) * np.append(scale, np.float32(1.0)), *map(_weights, others)]
     activate = _ACTIVATIONS[torso.activation]
     inputs: list[np.ndarray] = []
     rows: list[np.ndarray] = []
