@@ -76,7 +76,7 @@ def _fully_connected(torso: MLP) -> Callable[[np.ndarray], np.ndarray]:
     the weights, biases as the weights of ones; and features are rows, so that those before the ones lie together.
     """
     first, *others = torso.layers
-    scale = np.broadcast_to(np.asarray(torso.scale, np.float32), first.in_features)
+    scale = np.broadcast_to(np.asarray(torso.scale, np.float32), first.weight.shape[1])
     weights = [_weights(first) * np.append(scale, np.float32(1.0)), *map(_weights, others)]
     activate = _ACTIVATIONS[torso.activation]
     inputs: list[np.ndarray] = []
