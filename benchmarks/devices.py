@@ -87,6 +87,8 @@ def main(options: Options) -> None:
     finally:
         for worker in workers:
             worker.end()
+    for row in rows.values():
+        del row["compiling"], row["programs"]  # of this process, which compiles nothing
     harness.write("devices", options, rows, bars=bars(rows))
 
 
