@@ -9,7 +9,7 @@ from typing import Any
 import tyro
 
 from benchmarks import plots
-from benchmarks.harness import RESULTS, cells_of, number
+from benchmarks.harness import RESULTS, cells_of, counted, number
 
 ROOT = Path(__file__).parents[1]
 NOTES = Path(__file__).parent / "notes"
@@ -101,7 +101,7 @@ def section(name: str, arguments: str, minutes: str, content: Any, picture: str 
     at_the_end = f", load {load[0]:.1f} at the end" if load else ""
     commit = content["versions"].get("commit", "")
     made = f" at commit {commit[:10]}{commit[40:]}" if commit else ""
-    yield f"Measured {written} UTC{made}, {repeats} repeats in turns{at_the_end}."
+    yield f"Measured {written} UTC{made}, {counted(repeats, "repeat")} in turns{at_the_end}."
 
 
 _EXTRAS = {"meta_training": ("curves",), "scaling": ("fits",)}
