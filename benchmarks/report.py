@@ -101,7 +101,7 @@ def section(name: str, arguments: str, minutes: str, content: Any, picture: str 
     at_the_end = f", load {load[0]:.1f} at the end" if load else ""
     commit = content["versions"].get("commit", "")
     made = f" at commit {commit[:10]}{commit[40:]}" if commit else ""
-    yield f"Measured {written} UTC{made}, {counted(repeats, "repeat")} in turns{at_the_end}."
+    yield f"Measured {written} UTC{made}, {counted(repeats, 'repeat')} in turns{at_the_end}."
 
 
 _EXTRAS = {"meta_training": ("curves",), "scaling": ("fits",)}
