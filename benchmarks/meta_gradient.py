@@ -27,10 +27,11 @@ from benchmarks.convolutional_step import (
     transitions,
 )
 from benchmarks.harness import Bar, Part, Row
+from upslope.compiler_options import ONE_THREAD
 from upslope.convolution import FORMS, Precision, fastest_form
 from upslope.meta_training import TaskSamples
 from upslope.networks import DuelingQ
-from upslope.run.compiling import ONE_THREAD, set_up_devices
+from upslope.run.compiling import set_up_devices
 
 #: The forms of the convolution worth timing in every run; ``--forms`` names others.
 IN_THE_RUN = ("closed", "patches", "shifts", "winograd")

@@ -19,11 +19,12 @@ from benchmarks.phases import ADAPTATION_PHASES, DDPG_PHASES, DQN_PHASES, META_T
 from upslope.agents.adaptation import Adaptation, AdaptationConfig
 from upslope.agents.ddpg import DDPG
 from upslope.agents.dqn import DQN
+from upslope.compiler_options import QUICK_TO_COMPILE, QUICK_TO_RUN
 from upslope.learner import AbstractLearner, in_turn
 from upslope.meta_training import MetaTraining
 from upslope.potentials import mean_potential, stack
 from upslope.recipes import for_grid_games
-from upslope.run.compiling import QUICK_TO_COMPILE, QUICK_TO_RUN, set_up_devices
+from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
 from upslope.run.randomness import unrolled
 from upslope.shaping import Shaping, potential_based

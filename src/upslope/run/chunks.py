@@ -10,8 +10,8 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Int
 
+from upslope.compiler_options import ONE_THREAD, PATIENT, QUICK_TO_COMPILE, QUICK_TO_RUN
 from upslope.learner import AbstractLearner, in_turn
-from upslope.run.compiling import ONE_THREAD, PATIENT, QUICK_TO_COMPILE, QUICK_TO_RUN
 from upslope.types import Key, Keys, Metrics
 
 _AXIS, _SHARED = "learners", "tasks"

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
+from upslope.compiler_options import QUICK_TO_RUN
 from upslope.learner import AbstractTaskLearner
 from upslope.run.chunks import Chunk
-from upslope.run.compiling import QUICK_TO_RUN
 from upslope.tasks.abstract_evaluation import shapes_only
 from upslope.types import Keys, Metrics
 

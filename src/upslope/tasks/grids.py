@@ -1,12 +1,14 @@
 """The families of grid games (Sec. 5.2): clean maps, maps with obstacles, and any others."""
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from upslope.compiler_options import QUICK_TO_RUN
 from upslope.envs.grid import GridGame, GridParams
 from upslope.envs.grid_rules import check_settings
 from upslope.errors import UpslopeError
@@ -124,7 +126,7 @@ _ATTEMPTS = 20
 _CELLS_TO_SPLIT = 12
 
 
-@eqx.filter_jit  # the count is static
+@partial(jax.jit, static_argnames="count", compiler_options=QUICK_TO_RUN)
 def _draw_many(family: JaxTasks, key: Key, count: int) -> GridParams:
     return family.sample_many(key, count)
 
