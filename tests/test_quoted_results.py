@@ -112,13 +112,35 @@ class TestGrids:
     FIGURE_4 = json.loads((ROOT / "docs" / "data" / "fig4" / "results.json").read_text())
     READINGS = FIGURE_4["readings"]
 
-    def test_what_the_priors_know(self) -> None:
-        for name, row in self.READINGS.items():
+    @pytest.mark.parametrize("figure", ["fig2", "fig4"])
+    def test_what_the_priors_know(self, figure: str) -> None:
+        readings = json.loads((ROOT / "docs" / "data" / figure / "results.json").read_text())["readings"]
+        for name, row in readings.items():
             cells = (
                 f"{np.mean(seeds):.3f} ({min(seeds):.3f} to {max(seeds):.3f})"
                 for seeds in (row["final"][measure] for measure in ("rank_correlation", "action_optimality", "success"))
             )
             assert f"| `{name}` | {' | '.join(cells)} |" in self.TEXT
+
+    def test_clean_maps(self) -> None:
+        readings = json.loads((ROOT / "docs" / "data" / "fig2" / "results.json").read_text())["readings"]
+        aims = {"rank_correlation": 0.97, "action_optimality": 0.9, "success": 0.9}
+
+        def passes(name: str, measure: str) -> np.ndarray:
+            curves = np.asarray(readings[name]["measures"][measure]["mean"])
+            return np.vstack([curves, curves.mean(axis=0)]) >= aims[measure]
+
+        ours = readings["algorithm1"]
+        first = [ours["iterations"][passes("algorithm1", name)[-1].argmax()] for name in aims]
+        assert "after {:,}, {:,} and {:,} iterations".format(*first) in self.TEXT
+        assert all(passes("algorithm1", name)[:-1, -1].all() for name in aims), "with every seed"
+        assert min(ours["final"]["action_optimality"]) == 1
+        theirs = passes("multi_task_dqn", "success")[:-1]
+        first = [ours["iterations"][row.argmax()] for row in theirs if row[-1]]
+        assert len(first) == 4
+        assert f"after {min(first):,} to {max(first):,} iterations" in self.TEXT
+        assert f"one solves {min(readings['multi_task_dqn']['final']['success']):.2f}" in self.TEXT
+        assert f"is {np.mean(ours['final']['rank_correlation']):.3f} and every greedy action is optimal" in README
 
     def test_readings(self) -> None:
         readings = json.loads((ROOT / "docs" / "data" / "grid-readings" / "results.json").read_text())["readings"]
