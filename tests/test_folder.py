@@ -89,6 +89,8 @@ class TestResuming:
 def test_differences_are_told_by_place():
     assert differences({"a": 1, "b": [1, 2]}, {"a": 1, "b": [1, 3], "c": None}) == ["b was [1, 2], is now [1, 3]"]
     assert differences({"a": {"b": 1}}, {"a": {"b": 1}}) == []
+    assert differences({"a": ["x", {"b": 1, "c": 2}]}, {"a": ["x", {"b": 1, "c": 3}]}) == ["a[1].c was 2, is now 3"]
+    assert differences([{"a": 1}], [{"a": 1}, {"a": 2}]) == ['[1] was null, is now {"a": 2}']
 
 
 class TestOneWriter:

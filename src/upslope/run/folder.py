@@ -1,6 +1,7 @@
 """Folders of runs: one writer each, claimed before anything is written, never overwritten."""
 
 import fcntl
+import itertools
 import json
 import os
 import socket
@@ -124,4 +125,7 @@ def differences(there: Any, here: Any, name: str = "") -> list[str]:
             for key in keys
             for phrase in differences(there.get(key), here.get(key), f"{name}.{key}" if name else key)
         ]
+    if isinstance(there, list) and isinstance(here, list) and any(isinstance(one, dict) for one in (*there, *here)):
+        pairs = enumerate(itertools.zip_longest(there, here))
+        return [phrase for index, pair in pairs for phrase in differences(*pair, f"{name}[{index}]")]
     return [] if there == here else [f"{name} was {json.dumps(there)}, is now {json.dumps(here)}"]
