@@ -13,6 +13,9 @@ from matplotlib import pyplot as plt
 
 OURS, PEERS = "#1b6ca8", "#b0b0b0"
 
+#: Bars whose lengths are in such a proportion are not seen together on a linear axis.
+_FAR_APART = 50
+
 
 def pictures(found: dict[str, Any]) -> dict[str, str]:
     """The pictures' paths from the page, by benchmark."""
@@ -28,17 +31,18 @@ def draw_all(found: dict[str, Any], docs: Path) -> None:
 
 
 def bars_of(pick: Callable[[str, Any], float | None], label: str) -> Callable[[Any], Any]:
-    """Horizontal bars of one number of each row, on a logarithmic axis; upslope's in colour."""
+    """Horizontal bars of one number of each row; upslope's in colour where there are others."""
 
     def draw(content: Any) -> Any:
         found = [(name, pick(name, row)) for name, row in content["rows"].items()]
         chosen = [(name, value) for name, value in found if value]
         figure, axes = plt.subplots(figsize=(7, 0.3 * len(chosen) + 0.8))
         names, values = zip(*chosen, strict=True)
-        colours = [OURS if is_ours(name) else PEERS for name in names]
-        axes.barh(names, values, color=colours)
+        alone = not any(map(is_ours, names))
+        axes.barh(names, values, color=[OURS if alone or is_ours(name) else PEERS for name in names])
         axes.invert_yaxis()
-        axes.set_xscale("log")
+        if max(values) > _FAR_APART * min(values):  # where bars do not start at zero, their lengths say little
+            axes.set_xscale("log")
         axes.set_xlabel(label)
         axes.grid(axis="x", alpha=0.3)
         return figure
