@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from upslope.errors import UpslopeError
-from upslope.experiments.experiment import PANELS, Experiment, Options, PanelName
+from upslope.experiments.experiment import Experiment, Options, PanelName
 from upslope.experiments.figures import FIGURE_1, figure_on
 from upslope.experiments.maps.prior_studies import priors_study
 from upslope.experiments.maps.readings import grid_precisions, grid_priors, grid_readings
@@ -43,7 +43,7 @@ def reproduce(
     seeds: int | None = None,
     tasks: int | None = None,
     first_seed: int = 0,
-    panels: Sequence[PanelName] = PANELS,
+    panels: Sequence[PanelName] | None = None,
     iterations: int | None = None,
     priors_of: Path | None = None,
     resume: bool = False,
@@ -58,7 +58,7 @@ def reproduce(
         seeds: how many; the experiment's own number if None.
         tasks: how many unseen tasks; the experiment's own number if None.
         first_seed: other seeds and other test tasks.
-        panels: of the figure; maps have no middle one.
+        panels: of the figure; all that it has if None. Maps have no middle one.
         iterations: of meta-training, where maps are learned over; the recipe's own number if None.
         priors_of: folder of fig2 (for fig3) or fig4 (for fig5), whose priors are taken instead of trained anew.
         resume: go on with the run in ``out``, started with the same settings.

@@ -26,7 +26,7 @@ class Options:
         seeds: how many.
         tasks: how many unseen ones.
         first_seed: how far the seeds are moved; the test tasks move along.
-        panels: of a figure; all stands for those that it has.
+        panels: of a figure.
         iterations: of meta-training.
         priors_of: the folder of another figure, whose priors are taken instead of trained anew.
     """
@@ -35,7 +35,7 @@ class Options:
     seeds: int | None = None
     tasks: int | None = None
     first_seed: int = 0
-    panels: Sequence[PanelName] = PANELS
+    panels: Sequence[PanelName] | None = None
     iterations: int | None = None
     priors_of: Path | None = None
 
@@ -113,12 +113,10 @@ class Experiment(Generic[Settings, Results]):
             seeds=options.seeds or settings.seeds,
             tasks=options.tasks or settings.tasks,
         )
-        panels = tuple(panel for panel in options.panels if panel in self.panels)
+        panels = self.panels if options.panels is None else tuple(options.panels)
         return Plan(settings, panels, options.is_quick, self.trainings(settings) if self.trainings else ())
 
     def _check(self, name: str, options: Options) -> None:
-        if not options.panels or not set(options.panels) <= set(PANELS):
-            raise UpslopeError(f"There are no panels {', '.join(options.panels)!r}: choose among {', '.join(PANELS)}.")
         if options.iterations is not None and self.with_iterations is None:
             raise UpslopeError(f"{name} has a fixed number of iterations: leave --iterations out.")
         if options.priors_of is not None and self.trainings is None:
@@ -127,9 +125,11 @@ class Experiment(Generic[Settings, Results]):
             asked = getattr(options, count)
             if asked is not None and asked < 1:
                 raise UpslopeError(f"{asked} {count} make no figure: give at least 1.")
-        lacking = [panel for panel in PANELS if panel in options.panels and panel not in self.panels]
-        if set(options.panels) == set(PANELS) or not lacking:
+        if options.panels is None:
             return
         if not self.panels:
             raise UpslopeError(f"{name} has no panels to choose among: leave --panels out.")
-        raise UpslopeError(f"{name} has no {lacking[0]} panel: choose {', '.join(self.panels)} or both.")
+        lacking = [panel for panel in options.panels if panel not in self.panels]
+        if lacking or not options.panels:
+            what = f"has no {' and no '.join(lacking)} panel" if lacking else "needs a panel"
+            raise UpslopeError(f"{name} {what}: choose among {', '.join(self.panels)}.")
