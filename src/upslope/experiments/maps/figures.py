@@ -114,7 +114,7 @@ def grid_figure(
 ) -> FigureResult:
     """Runs the panels asked for, the right one first. The same configuration gives the same returns on one machine.
 
-    Where the left one is to come, the session is shown the right one; the priors are not described yet.
+    The left one alone needs no control. Where the left one is to come, the session is shown the right one; the priors are not described yet.
     """
     finished: dict[str, Panel] = {}
     seed = config.first_seed
@@ -128,7 +128,7 @@ def grid_figure(
                 "iterations": priors.iterations,
                 "returns": priors.returns,
                 "chosen": priors.chosen,
-                "multi_task_returns": control.returns,
+                **({} if control is None else {"multi_task_returns": control.returns}),
             },
             configuration=asdict(config),
             quick=is_quick,
@@ -142,8 +142,9 @@ def grid_figure(
         tasks = unseen.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
         ours, theirs = stages(config.maps)
         priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session, ours)
-        control = meta_train_priors(family, config.multi_task, seed, config.seeds, session, theirs)
+        control = None
         if "right" in panels:
+            control = meta_train_priors(family, config.multi_task, seed, config.seeds, session, theirs)
             levels = mean_levels_on_maps(family, family.sample_many(key_for(seed, Purpose.LEVEL), 20), priors.final)
             finished["right"] = shaping_panel(
                 "Shaping only: DQN",
@@ -179,11 +180,15 @@ def grid_figure(
     return figure(rows)
 
 
-def _describe(family: JaxTasks, tasks: Task, priors: Priors, control: Priors, first_seed: int) -> list[dict[str, Any]]:
+def _describe(
+    family: JaxTasks, tasks: Task, priors: Priors, control: Priors | None, first_seed: int
+) -> list[dict[str, Any]]:
     """One row per seed: what its prior, and that of multi-task DQN, know of the unseen maps from the start."""
     known = truths(family.env, tasks, family.gamma)
     rows: list[dict[str, Any]] = [{} for _ in priors.chosen]
     for prefix, of_seeds in (("", priors), ("multi_task_", control)):
+        if of_seeds is None:
+            continue
         networks = (jax.tree.map(lambda leaf, s=seed: leaf[s], of_seeds.final) for seed in range(len(rows)))
         found = [measure_all(family.env, known, tasks, network, family.max_steps) for network in networks]
         solved = describe_priors(np.stack([np.asarray(one.success) for one in found]), first_seed)
