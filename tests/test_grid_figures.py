@@ -153,6 +153,18 @@ class TestRun:
             for arm, curves in panel.arms.items():
                 np.testing.assert_array_equal(curves.returns, returns[f"{name}/{arm}"])
 
+    def test_the_left_panel_alone_is_the_same_and_needs_no_control(self, folder, tmp_path, monkeypatch):
+        monkeypatch.setitem(catalogue.EXPERIMENTS, "fig5", replace(catalogue.EXPERIMENTS["fig5"], full=lambda: TINY))
+        catalogue.reproduce("fig5", panels=["left"], out=tmp_path / "left", console=Console(quiet=True))
+        alone, both = (np.load(path / "returns.npz") for path in (tmp_path / "left", folder))
+        assert set(alone) == {name for name in both if not name.startswith("right/")}
+        for name, values in alone.items():
+            np.testing.assert_array_equal(values, both[name])
+        results = json.loads((tmp_path / "left" / "results.json").read_text(encoding="utf-8"))
+        assert "multi_task_returns" not in results["training"]
+        assert not [name for row in results["priors"] for name in row if name.startswith("multi_task")]
+        assert "multi-task DQN" not in (tmp_path / "left" / "report.html").read_text(encoding="utf-8")
+
     def test_pictures_and_report(self, folder):
         assert (folder / "figure.png").read_bytes().startswith(b"\x89PNG")
         page = (folder / "report.html").read_text(encoding="utf-8")
