@@ -93,7 +93,8 @@ def digest(folder: Path, kind: str) -> str:
     """
     newest = max((folder / "checkpoints").rglob("*.safetensors"))
     checksums = storage.read(newest, KIND, FORMAT_VERSION).checksums
-    del checksums["times"]
+    for clock in ("times", "seconds", "elapsed"):
+        del checksums[clock]
     whole = hashlib.sha256(b"" if kind in HOST_KINDS else storage.content_digest(checksums).encode())
     for line in next((folder / "logs").rglob("metrics.jsonl")).read_text().splitlines():
         whole.update(line.split('"update"')[1].split(",")[0].encode())  # neither gaps nor duplicates

@@ -3,6 +3,7 @@
 import json
 import signal
 import threading
+import time
 from pathlib import Path
 
 import equinox as eqx
@@ -151,6 +152,17 @@ class TestResuming:
         assert times == sorted(times)
         assert len(list((tmp_path / "logs" / "learning").glob("events*"))) == 1
 
+    def test_time_between_stop_and_resumption_is_no_running(self, tmp_path, monkeypatch):
+        stop_at(tmp_path, 4)
+        saved = storage.read(files(tmp_path)[-1], "upslope-checkpoint", 1).arrays
+        hours_later = time.time() + 10_000.0
+        monkeypatch.setattr(time, "time", lambda: hours_later)
+        resumed = walk(tmp_path, resume=True)
+        before = len(saved["seconds"])
+        np.testing.assert_array_equal(resumed.seconds[:before], saved["seconds"])
+        assert (np.diff([*resumed.seconds[:before], saved["elapsed"], *resumed.seconds[before:]]) > 0).all()
+        assert resumed.seconds[-1] < 10_000
+
     def test_on_another_number_of_learners_than_the_devices_divide(self, tmp_path):
         stop_at(tmp_path, 2)
         (file, *_) = files(tmp_path)
@@ -255,9 +267,19 @@ class TestDamage:
 
     def test_resuming_falls_back_with_a_warning(self, stopped):
         self.damage(files(stopped)[-1])
-        with pytest.warns(UserWarning, match=r"damaged.*Trying the one before"):
+        with pytest.warns(UserWarning, match=r"damaged.*trying the one before"):
             again = walk(stopped, resume=True)
         assert_same(again, walk())
+
+    def test_where_none_is_good_it_begins_anew_and_keeps_what_it_saves(self, stopped):
+        damaged = files(stopped)
+        for file in damaged:
+            self.damage(file)
+        with pytest.warns(UserWarning, match="damaged"):
+            stop_at(stopped, 2, resume=True)
+        assert sorted(path.suffix for path in files(stopped)) == [".damaged"] * 2 + [".safetensors"] * 2
+        assert max(int(path.stem) for path in files(stopped) if path.suffix == ".safetensors") < 4
+        assert_same(walk(stopped, resume=True), walk())
 
     def test_asked_for_by_its_path_it_fails(self, stopped):
         newest = files(stopped)[-1]
@@ -402,3 +424,4 @@ def test_golden_checkpoint_of_format_1(tmp_path):
     np.testing.assert_allclose(again.states.place, anew.states.place, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(again.reports["return"], anew.reports["return"], rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(again.states.steps, 7)
+    assert (np.diff(again.seconds) > 0).all()

@@ -5,6 +5,7 @@ import shutil
 import time
 import warnings
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -136,7 +137,11 @@ class Stage:
             try:
                 return self._read(path, skeleton, allow_divergence)
             except DamagedFileError as error:
-                warnings.warn(f"{error} Trying the one before it.", stacklevel=2)
+                # Out of the way of a run that begins anew, whose first saves count as older.
+                aside = path.with_suffix(".damaged")
+                with suppress(OSError):
+                    path.replace(aside)
+                warnings.warn(f"{error} It is {aside.name} now; trying the one before it.", stacklevel=2)
         return None
 
     def last_good(self) -> str:

@@ -119,12 +119,14 @@ class _Run:
         self.reports: list[Any] = []
         self.metrics: list[Any] = []
         self.times: list[float] = []
+        self.seconds: list[float] = []
+        self.began = time.perf_counter()
 
     def skeleton(self) -> Position:
         """The shapes of a `Position`, of the learners without the padding."""
         own = jax.tree.map(lambda leaf: leaf[: self.count] if np.ndim(leaf) else leaf, (self.learners, self.keys))
         states, totals, report = self.engine.shapes(*own)
-        return Position(states, totals, 0, report, totals, np.zeros(0))
+        return Position(states, totals, 0, report, totals, np.zeros(0), np.zeros(0), np.zeros(()))
 
     def restore(self, position: Position | None) -> None:
         """Goes on from a checkpoint."""
@@ -132,7 +134,8 @@ class _Run:
             return
         if self.engine is host_chunks:
             warnings.warn(f"{self.title}: episodes on the host can't be restored; new ones are begun.", stacklevel=3)
-        self.update, self.times = position.update, position.times.tolist()
+        self.update, self.times, self.seconds = position.update, position.times.tolist(), position.seconds.tolist()
+        self.began -= float(position.elapsed)
         for index in range(len(self.times)):
             at_mark = jax.tree.map(lambda leaf, i=index: leaf[:, i], (position.reports, position.metrics))
             self.reports.append(at_mark[0])
@@ -189,6 +192,7 @@ class _Run:
             self.metrics.append(jax.tree.map(lambda leaf: leaf / leaf.dtype.type(max(mark - last, 1)), totals))
             self.reports.append(report)
             self.times.append(time.time())
+            self.seconds.append(time.perf_counter() - self.began)
         return at_mark
 
     def _tell(self, session: Session, index: int) -> None:
@@ -199,7 +203,14 @@ class _Run:
         """All of it, on the host."""
         states, totals = jax.tree.map(lambda leaf: on_host(leaf)[: self.count], (self.states, self.totals))
         return Position(
-            states, totals, self.update, _along_marks(self.reports), _along_marks(self.metrics), np.asarray(self.times)
+            states,
+            totals,
+            self.update,
+            _along_marks(self.reports),
+            _along_marks(self.metrics),
+            np.asarray(self.times),
+            np.asarray(self.seconds),
+            np.asarray(time.perf_counter() - self.began),
         )
 
     def outcome(self, batch: tuple[int, ...], clock: CompileClock) -> Outcome:
@@ -208,9 +219,9 @@ class _Run:
             lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), (_along_marks(self.reports), _along_marks(self.metrics))
         )
         updates = np.asarray(self.marks[: len(self.times)])
-        times = np.asarray(self.times)
+        seconds = np.asarray(self.seconds)
         return Outcome(
-            self.states, batch, updates, times, reports, metrics, clock.seconds, clock.seconds_running, clock.programs
+            self.states, batch, updates, seconds, reports, metrics, clock.seconds, clock.seconds_running, clock.programs
         )
 
 

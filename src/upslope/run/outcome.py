@@ -15,7 +15,7 @@ class Outcome(NamedTuple):
             states were not kept.
         batch: the batch axes.
         updates: steps taken at each report ``[reports]``.
-        times: when each report was made, seconds since 1970 ``[reports]``; a run that was stopped has a gap there.
+        seconds: of running up to each report ``[reports]``, compiling included; while a run is stopped none pass.
         reports: what the learners reported, by name ``[*batch, reports, ...]``.
         metrics: means of the learners' metrics between reports, by name ``[*batch, reports, ...]``; zeros before the
             first step.
@@ -27,7 +27,7 @@ class Outcome(NamedTuple):
     flat_states: Any
     batch: tuple[int, ...]
     updates: np.ndarray
-    times: np.ndarray
+    seconds: np.ndarray
     reports: dict[str, Any]
     metrics: dict[str, np.ndarray]
     seconds_compiling: float

@@ -19,6 +19,8 @@ class Position(NamedTuple):
         reports: at each mark reached ``[learners, marks, ...]``.
         metrics: means up to each mark ``[learners, marks, ...]``.
         times: when each mark was reached, in seconds of the Unix clock ``[marks]``.
+        seconds: of running up to each mark ``[marks]``; the time between a stop and going on is none.
+        elapsed: of running up to now.
     """
 
     states: Any
@@ -27,6 +29,8 @@ class Position(NamedTuple):
     reports: Any
     metrics: Any
     times: np.ndarray
+    seconds: np.ndarray
+    elapsed: np.ndarray
 
 
 def to_arrays(position: Position) -> dict[str, np.ndarray]:
@@ -39,13 +43,16 @@ def from_arrays(update: int, arrays: dict[str, np.ndarray], skeleton: Position) 
 
     Args:
         update: steps taken.
-        arrays: from `to_arrays`.
+        arrays: from `to_arrays`; files of old have no ``seconds``, and count the time of stops as running.
         skeleton: the shapes that the run needs, its reports and metrics without the axis of marks.
 
     Raises:
         ValueError: arrays that the run has not, or of other shapes or types.
     """
     marks = len(arrays["times"])
+    if "seconds" not in arrays:
+        seconds = arrays["times"] - arrays["times"][:1]
+        arrays = {**arrays, "seconds": seconds, "elapsed": np.asarray(seconds[-1:].sum())}
     if not any(name.startswith("states/") for name in arrays):
         skeleton = skeleton._replace(states=None, totals=None)
 
@@ -57,6 +64,8 @@ def from_arrays(update: int, arrays: dict[str, np.ndarray], skeleton: Position) 
             reports=jax.tree.map(along_marks, skeleton.reports),
             metrics=jax.tree.map(along_marks, skeleton.metrics),
             times=np.zeros(marks),
+            seconds=np.zeros(marks),
+            elapsed=np.zeros(()),
         )
     )
     named = _named(tree)

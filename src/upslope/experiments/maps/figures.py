@@ -114,7 +114,8 @@ def grid_figure(
 ) -> FigureResult:
     """Runs the panels asked for, the right one first. The same configuration gives the same returns on one machine.
 
-    The left one alone needs no control. Where the left one is to come, the session is shown the right one; the priors are not described yet.
+    The left one alone needs no control. Where it is to come, the session is shown the right one, without a description
+    of the priors yet.
     """
     finished: dict[str, Panel] = {}
     seed = config.first_seed

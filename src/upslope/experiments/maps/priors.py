@@ -115,7 +115,7 @@ def describe(
                     rows[seed].append(number)
     return {
         "iterations": outcome.updates.tolist(),
-        "seconds": (outcome.times - outcome.times[0]).tolist(),
+        "seconds": (outcome.seconds - outcome.seconds[0]).tolist(),
         "seconds_compiling": outcome.seconds_compiling,
         "outer_loss": outcome.metrics["outer_loss"].tolist(),
         "success_on_training_maps": outcome.reports["return"].tolist(),
