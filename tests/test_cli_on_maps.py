@@ -15,11 +15,11 @@ def parsed(monkeypatch, *arguments):
     return parse()
 
 
-@pytest.mark.parametrize("family", ["grid", "obstacles", "clean"])
-def test_the_defaults_are_the_family_s_recipe(family, monkeypatch):
+@pytest.mark.parametrize(("family", "iterations"), [("grid", 6000), ("obstacles", 6000), ("clean", 3000)])
+def test_the_defaults_are_the_family_s_recipe(family, iterations, monkeypatch):
     command = parsed(monkeypatch, "meta-train", family)
     assert isinstance(command, MetaTrain)
-    assert command.config == for_grid_games()
+    assert command.config == for_grid_games(iterations)
 
 
 def test_what_is_given_counts_even_if_it_is_the_default_elsewhere(monkeypatch):

@@ -10,8 +10,8 @@ from upslope.agents.dqn import DQNConfig
 from upslope.envs.grid_rules import POSITION
 from upslope.errors import UpslopeError
 from upslope.family_options import Tasks, draw_task, recipe_for
-from upslope.recipes import MetaTrainingConfig, for_grid_games
-from upslope.tasks import FAMILIES, clean_maps, grid_games, obstacle_maps
+from upslope.recipes import MetaTrainingConfig, for_grid_games, suited_to
+from upslope.tasks import FAMILIES, cartpoles, clean_maps, grid_games, obstacle_maps
 
 
 class TestSettings:
@@ -129,7 +129,13 @@ class TestOnTheCommandLine:
 
     def test_recipes(self):
         assert recipe_for("cartpole") == MetaTrainingConfig()
-        assert recipe_for("grid") == recipe_for("clean") == recipe_for("obstacles") == for_grid_games()
+        assert recipe_for("grid") == recipe_for("obstacles") == for_grid_games()
+        assert recipe_for("clean") == for_grid_games(3000)
+
+    def test_families_in_code_have_the_same_ones(self):
+        assert suited_to(obstacle_maps()) == for_grid_games()
+        assert suited_to(cartpoles()) == MetaTrainingConfig()
+        assert suited_to(grid_games(flat=True)) == MetaTrainingConfig()
 
 
 @pytest.mark.slow

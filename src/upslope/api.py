@@ -15,7 +15,7 @@ from upslope.agents.dqn import DQN, DQNConfig
 from upslope.errors import UpslopeError
 from upslope.meta_training import MetaTraining
 from upslope.prior import Prior, trained_on
-from upslope.recipes import MetaTrainingConfig
+from upslope.recipes import MetaTrainingConfig, suited_to
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session
@@ -31,12 +31,12 @@ def meta_train(
     config: MetaTrainingConfig | None = None,
     session: Session | None = None,
 ) -> Prior:
-    """Algorithm 1: learns a prior over a family of tasks.
+    """Algorithm 1: learns a prior over a family of tasks, by the recipe that suits it where no settings are given.
 
     Raises:
         UpslopeError: training that diverges.
     """
-    config = config or MetaTrainingConfig()
+    config = config or suited_to(family)
     keys = jax.random.key(seed)[None]
     outcome = run(
         broadcast(MetaTraining(family, config), (1,)),

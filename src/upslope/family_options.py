@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from upslope.errors import UpslopeError
-from upslope.recipes import MetaTrainingConfig, for_grid_games
+from upslope.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games
 from upslope.tasks import FAMILIES, JaxTasks, cartpoles, clean_maps, grid_games, obstacle_maps
 from upslope.types import Task
 
@@ -63,7 +63,9 @@ class Tasks:
 
 def recipe_for(name: str) -> MetaTrainingConfig:
     """Algorithm 1's settings on a family; CartPole's where the name is none."""
-    return MetaTrainingConfig() if name == "cartpole" or name not in FAMILIES else for_grid_games()
+    if name == "cartpole" or name not in FAMILIES:
+        return MetaTrainingConfig()
+    return for_grid_games(ITERATIONS.get(name, ITERATIONS["obstacles"]))
 
 
 def draw_task(family: JaxTasks, pole: float | None, seed: int) -> tuple[Task, str]:

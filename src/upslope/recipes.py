@@ -9,6 +9,8 @@ from jaxtyping import Float
 from upslope.convolution import Precision
 from upslope.errors import UpslopeError
 from upslope.networks import Activation
+from upslope.tasks.family import AbstractFamily
+from upslope.tasks.jax_tasks import is_finite
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,16 @@ def as_printed() -> MetaTrainingConfig:
     )
 
 
-def for_grid_games(iterations: int = 6000) -> MetaTrainingConfig:
+#: Of meta-training on the paper's maps. Every clean training map is solved after a thousand.
+ITERATIONS = {"obstacles": 6000, "clean": 3000}
+
+
+def suited_to(family: AbstractFamily) -> MetaTrainingConfig:
+    """The recipe for a family: that of grid games where tasks are finite and observations maps, else CartPole's."""
+    return for_grid_games() if is_finite(family) and len(family.observation_shape) == 3 else MetaTrainingConfig()
+
+
+def for_grid_games(iterations: int = ITERATIONS["obstacles"]) -> MetaTrainingConfig:
     """Algorithm 1 on grid games: φ_i a table, adapted by many steps on sixteen environments of each of two maps.
 
     What the choices are worth is told in docs/deviations.md, where it was measured.
@@ -198,7 +209,7 @@ def for_grid_games(iterations: int = 6000) -> MetaTrainingConfig:
     )
 
 
-def multi_task_dqn(iterations: int = 6000) -> MetaTrainingConfig:
+def multi_task_dqn(iterations: int = ITERATIONS["obstacles"]) -> MetaTrainingConfig:
     """The control of `for_grid_games`: DQN over all maps, with a target network.
 
     One inner step of size one makes the posterior a Bellman backup of the target network, and Eq. 7 the loss of DQN.

@@ -15,12 +15,12 @@ from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_pan
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps
 from upslope.experiments.maps.priors import families
-from upslope.experiments.maps.readings import ITERATIONS, Maps, quick_reading, stage
+from upslope.experiments.maps.readings import Maps, quick_reading, stage
 from upslope.experiments.priors import Priors, describe_priors, meta_train_priors
 from upslope.experiments.results import SUCCESS, FigureResult, Panel, differences
 from upslope.experiments.shaping_panel import shaping_panel
 from upslope.measures import measure_all, truths
-from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games, multi_task_dqn
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks

@@ -3,12 +3,9 @@
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
-from upslope.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games, multi_task_dqn
 
 Maps = Literal["obstacles", "clean"]
-
-#: Of meta-training. Every clean training map is solved after a thousand.
-ITERATIONS: dict[Maps, int] = {"obstacles": 6000, "clean": 3000}
 
 #: What the curves show, with the project's aims for Algorithm 1 on unseen obstacle maps and clean maps.
 AIMS: dict[str, dict[Maps, float]] = {
