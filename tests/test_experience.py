@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from support.probes import DISCRETE, discrete_family, table_potential, truncation_only, two_steps
-from upslope.agents import experience as experience_module
+from upslope.agents import lookups
 from upslope.agents.experience import Experience, greedy_return
+from upslope.agents.lookups import Lookup
 from upslope.networks import QNetwork
-from upslope.policies import EpsilonGreedy, Lookup
+from upslope.policies import EpsilonGreedy
 from upslope.shaping import not_policy_invariant, potential_based
 from upslope.tasks import obstacle_maps
 
@@ -93,7 +94,7 @@ class TestLookingUp:
         remembered = Experience.start(jax.random.key(3), self.MAPS, task, 32)
         policy = EpsilonGreedy(network, 0.3)
         made = []
-        monkeypatch.setattr(experience_module, "Lookup", lambda *table: made.append(table) or Lookup(*table))
+        monkeypatch.setattr(lookups, "Lookup", lambda *table: made.append(table) or Lookup(*table))
 
         def act(key):
             return remembered.act(key, self.MAPS, task, policy, steps)[1]

@@ -92,21 +92,6 @@ def _noises_of_steps(policy: AbstractPolicy, keys: Keys, shape: tuple[int, ...])
 _noises = jax.jit(_noises_of_steps, static_argnames="shape")
 
 
-class Lookup(eqx.Module):
-    """Scores of the states of one finite task, looked up instead of computed.
-
-    Attributes:
-        env: with ``state_number(obs)``.
-        scores: in every state.
-    """
-
-    env: Any = eqx.field(static=True)
-    scores: Float[Array, "states actions"]
-
-    def __call__(self, obs: Float[Array, "*obs"]) -> Float[Array, "actions"]:
-        return self.scores[self.env.state_number(obs)]
-
-
 class Greedy(AbstractPolicy):
     """The action of the highest score: Q(s, ·) or A(s, ·)."""
 

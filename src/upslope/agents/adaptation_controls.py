@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from upslope.agents.adaptation import AdvantageHead, UpdateRule, advantage_step_loss
+from upslope.agents.lookups import Asked
 from upslope.losses import td_loss
 from upslope.maml import descend
 from upslope.networks import DuelingQ
@@ -15,7 +16,7 @@ from upslope.types import Scalar, Transition
 class FrozenPotential(eqx.Module):
     """V frozen at the prior, two centred A steps: pure shaping. Tells what moving the potential adds."""
 
-    def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
         level = AdvantageHead(centred=True).level(prior)
         for _ in range(2):
             phi = descend(phi, jax.grad(advantage_step_loss)(phi, prior, batch, level), step_size)
@@ -25,11 +26,11 @@ class FrozenPotential(eqx.Module):
 class CentredTD(eqx.Module):
     """One TD step on V + A − frozen max A. Tells what is owed to not differentiating through a running maximum."""
 
-    def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
         return descend(phi, jax.grad(centred_td_loss)(phi, prior, batch), step_size)
 
 
-def centred_td_loss(phi: DuelingQ, prior: DuelingQ, batch: Transition) -> Scalar:
+def centred_td_loss(phi: DuelingQ, prior: Asked, batch: Transition) -> Scalar:
     """Mean of Eq. 5 for Q(s, ·) = V(s) + A(s, ·) − the prior's max A(s, ·)."""
 
     def centred_q(obs):
@@ -46,5 +47,5 @@ class OneOf(eqx.Module):
     rules: tuple[UpdateRule, ...]
     index: Int[Array, ""]
 
-    def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
         return jax.lax.switch(self.index, [rule.update for rule in self.rules], phi, prior, batch, step_size)

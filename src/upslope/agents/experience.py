@@ -1,6 +1,5 @@
 """A learner's own experience of one task: running environments and a replay of raw rewards."""
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -8,11 +7,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from upslope.policies import AbstractPolicy, Lookup
+from upslope.agents.lookups import looking_up
 from upslope.replay import Replay
 from upslope.shaping import Shaping
 from upslope.tasks.family import AbstractFamily
-from upslope.tasks.jax_tasks import JaxTasks, is_finite
 from upslope.types import Key, Policy, Scalar, Task, Transition
 
 
@@ -46,7 +44,7 @@ class Experience(eqx.Module):
 
     def act(self, key: Key, family: AbstractFamily, task: Task, policy: Policy, steps: int) -> tuple[Any, Transition]:
         """Acts for ``steps`` steps: the running environment after them, and the raw transitions ``[steps, ...]``."""
-        policy = _looking_up(family, task, policy, steps)
+        policy = looking_up(family, task, policy, steps)
         running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
         return running, jax.tree.map(lambda leaf: leaf[0], transitions)
 
@@ -77,20 +75,6 @@ def greedy_return(key: Key, family: AbstractFamily, task: Task, policy: Policy, 
     """The mean raw return of fresh episodes on one task; never shaped."""
     copies = jax.tree.map(lambda leaf: jnp.repeat(leaf[None], episodes, axis=0), task)
     return jnp.mean(family.returns(key, copies, policy))
-
-
-#: A state's scores among those of all states cost a third of what they cost alone (the paper's network, CPU).
-_CHEAPER_TOGETHER = 3
-
-
-def _looking_up(family: AbstractFamily, task: Task, policy: Policy, steps: int) -> Policy:
-    """The same policy; in a finite task its scores are computed once for all states, where that is cheaper."""
-    if not (isinstance(policy, AbstractPolicy) and isinstance(family, JaxTasks) and is_finite(family)):
-        return policy
-    observations = family.env.observe_all(task)
-    if len(observations) > _CHEAPER_TOGETHER * steps:
-        return policy
-    return replace(policy, network=Lookup(family.env, jax.vmap(policy.network)(observations)))
 
 
 def _alone(task: Task) -> Task:

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from upslope.agents.lookups import Asked
 from upslope.losses import td_loss
 from upslope.maml import adapt
 from upslope.networks import DuelingQ
@@ -19,7 +20,7 @@ class FineTuning(eqx.Module):
 
     steps: int = eqx.field(static=True, default=1)
 
-    def update(self, phi: DuelingQ, prior: DuelingQ, batch: Transition, step_size: Scalar) -> DuelingQ:
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
         del prior
         return adapt(fine_tuning_loss, phi, batch, step_size=step_size, steps=self.steps)
 
