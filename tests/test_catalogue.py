@@ -83,6 +83,7 @@ def test_panels_are_made_as_they_are_asked_for():
 def test_figures_on_maps_share_all_trainings_of_the_one_before(figure, begins_as):
     before = planned(begins_as).settings
     assert set(planned(figure).trainings) == {stage(before.maps, reading) for reading in before.readings}
+    assert planned(figure, panels=("left",)).trainings == (stage(before.maps, "algorithm1"),), "no control"
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def sessions(monkeypatch):
         run=run,
         write=lambda results, folder: write_json(folder / "results.json", results),
         tell=lambda results, folder, console: console.print(results["seeds"], "seeds in", folder.name),
-        trainings=lambda _: ("a training",),
+        trainings=lambda *_: ("a training",),
     )
     monkeypatch.setitem(EXPERIMENTS, "stub", stub)
     return seen

@@ -49,7 +49,8 @@ class TestSettings:
         config = full_grid_figure(maps)
         assert config.meta_training == for_grid_games(iterations)
         assert config.multi_task == multi_task_dqn(iterations)
-        assert (config.seeds, config.tasks, config.panel.stops[-1]) == (5, 40, iterations)
+        assert (config.seeds, config.tasks) == (5, 40)
+        assert max(config.panel.stops) <= iterations
 
     def test_the_quick_form_keeps_the_recipes(self):
         config = quick_grid_figure(full_grid_figure("obstacles"))

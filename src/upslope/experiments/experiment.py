@@ -75,7 +75,7 @@ class Experiment(Generic[Settings, Results]):
         with_iterations: makes the full form's settings for so many iterations of meta-training; None where their
             number is fixed.
         panels: that it has; none where it is no figure with panels.
-        trainings: titles of those that another figure begins with too; None where there are none.
+        trainings: titles of those that another figure begins with too, for some panels; None where there are none.
         show: writes a picture of results that are not complete yet, and says on a console where; None where there
             is nothing to be seen before the end.
     """
@@ -87,7 +87,7 @@ class Experiment(Generic[Settings, Results]):
     tell: Callable[[Results, Path, Console], None]
     with_iterations: Callable[[int], Settings] | None = None
     panels: tuple[PanelName, ...] = ()
-    trainings: Callable[[Settings], tuple[str, ...]] | None = None
+    trainings: Callable[[Settings, tuple[PanelName, ...]], tuple[str, ...]] | None = None
     show: Callable[[Results, Path, Console], None] | None = None
 
     def plan(self, name: str, options: Options) -> Plan[Settings]:
@@ -114,7 +114,7 @@ class Experiment(Generic[Settings, Results]):
             tasks=options.tasks or settings.tasks,
         )
         panels = self.panels if options.panels is None else tuple(options.panels)
-        return Plan(settings, panels, options.is_quick, self.trainings(settings) if self.trainings else ())
+        return Plan(settings, panels, options.is_quick, self.trainings(settings, panels) if self.trainings else ())
 
     def _check(self, name: str, options: Options) -> None:
         if options.iterations is not None and self.with_iterations is None:

@@ -12,7 +12,7 @@ from upslope.experiments.maps.figures import (
     full_grid_figure,
     grid_figure,
     quick_grid_figure,
-    stages,
+    trainings,
 )
 from upslope.experiments.maps.readings import Maps
 from upslope.experiments.plots import draw
@@ -64,6 +64,6 @@ def figure_on(maps: Maps) -> Experiment[GridFigureConfig, FigureResult]:
         _tell,
         with_iterations=full,
         panels=GRID_PANELS,
-        trainings=lambda settings: stages(settings.maps),
+        trainings=lambda settings, panels: trainings(settings.maps, panels),
         show=_show,
     )

@@ -74,7 +74,7 @@ class Chunk(NamedTuple):
 def compile(learners: AbstractLearner, keys: Keys) -> None:
     """Compiles the programs that `start` and `advance` will look for. They must be laid out by `spread`."""
     everywhere = mesh(learners, keys.shape[0])
-    started = _start.lower(learners, keys, everywhere).compile()
+    started = _start_with(learners).lower(learners, keys, everywhere).compile()
 
     def known(info: Any, sharding: Any) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(info.shape, info.dtype, sharding=sharding)
@@ -86,7 +86,7 @@ def compile(learners: AbstractLearner, keys: Keys) -> None:
 
 def start(learners: AbstractLearner, keys: Keys) -> tuple[Any, Metrics]:
     """The states ``[learners, ...]`` before the first step, and the metrics' sums, all zero."""
-    return _start(learners, keys, mesh(learners, keys.shape[0]))
+    return _start_with(learners)(learners, keys, mesh(learners, keys.shape[0]))
 
 
 def advance(learners: AbstractLearner, states: Any, totals: Metrics, steps: int, *, fresh: bool, report: bool) -> Chunk:
@@ -231,12 +231,20 @@ def _advance_all(
     return _mapped(_advance_stack, devices, learners, states, totals, steps, fresh, report)
 
 
-# What runs once is compiled as fast as can be; what runs for long, well.
-_start = jax.jit(_start_all, static_argnames="devices", compiler_options=QUICK_TO_COMPILE)
+# What runs once is compiled as fast as can be; what runs for long, well, and the start of adapting to thousands of maps
+# is of both kinds: it asks the prior about all of their states.
+_start_simply, _start_on_maps = (
+    jax.jit(_start_all, static_argnames="devices", compiler_options=options)
+    for options in (QUICK_TO_COMPILE, QUICK_TO_RUN)
+)
 _advance_on_one, _advance_on_many = (
     jax.jit(_advance_all, static_argnames="devices", donate_argnames=("states", "totals"), compiler_options=options)
     for options in (QUICK_TO_RUN, QUICK_TO_RUN | ONE_THREAD | PATIENT)
 )
+
+
+def _start_with(learners: AbstractLearner) -> Any:
+    return _start_on_maps if in_turn(learners) else _start_simply
 
 
 def _advance_on(devices: Mesh) -> Any:

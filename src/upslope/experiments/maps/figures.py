@@ -30,8 +30,8 @@ GridPanelName = Literal["left", "right"]
 GRID_PANELS: tuple[GridPanelName, ...] = ("left", "right")
 
 #: Iterations at which the left panel stops Algorithm 1: two at which success on training maps shows that something is
-#: left to learn, and the end.
-STOPS: dict[Maps, tuple[int, ...]] = {"obstacles": (1500, 3000, 6000), "clean": (561, 748, 3000)}
+#: left to learn; and the end, but of clean maps, all of which the priors solve then.
+STOPS: dict[Maps, tuple[int, ...]] = {"obstacles": (1500, 3000, 6000), "clean": (561, 748)}
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,9 @@ def quick_grid_figure(config: GridFigureConfig) -> GridFigureConfig:
     )
 
 
-def stages(maps: Maps) -> tuple[str, str]:
-    """The trainings that Figures 3 and 5 share with Figures 2 and 4."""
-    return stage(maps, "algorithm1"), stage(maps, "multi_task_dqn")
+def trainings(maps: Maps, panels: Sequence[str]) -> tuple[str, ...]:
+    """Those that Figures 3 and 5 share with Figures 2 and 4; the left panel alone needs no control."""
+    return tuple(stage(maps, name) for name in ("algorithm1", *(["multi_task_dqn"] if "right" in panels else [])))
 
 
 def grid_figure(
@@ -114,8 +114,7 @@ def grid_figure(
 ) -> FigureResult:
     """Runs the panels asked for, the right one first. The same configuration gives the same returns on one machine.
 
-    The left one alone needs no control. Where it is to come, the session is shown the right one, without a description
-    of the priors yet.
+    Where the left one is to come, the session is shown the right one, without a description of the priors yet.
     """
     finished: dict[str, Panel] = {}
     seed = config.first_seed
@@ -141,11 +140,11 @@ def grid_figure(
     with compile_clock() as clock:
         family, unseen = families(config.maps)
         tasks = unseen.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
-        ours, theirs = stages(config.maps)
-        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session, ours)
+        titles = trainings(config.maps, panels)
+        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session, titles[0])
         control = None
         if "right" in panels:
-            control = meta_train_priors(family, config.multi_task, seed, config.seeds, session, theirs)
+            control = meta_train_priors(family, config.multi_task, seed, config.seeds, session, titles[1])
             levels = mean_levels_on_maps(family, family.sample_many(key_for(seed, Purpose.LEVEL), 20), priors.final)
             finished["right"] = shaping_panel(
                 "Shaping only: DQN",
