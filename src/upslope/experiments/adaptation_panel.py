@@ -89,9 +89,9 @@ def adaptation_panel(
     outcomes: list[Outcome] = []
 
     def adapt_all(learners: Adaptation, keys: Keys, title: str, updates: int = panel.updates) -> Outcome:
-        outcomes.append(
-            run(learners, keys, updates=updates, every=1, title=title, session=session, allow_divergence=True)
-        )
+        outcome = run(learners, keys, updates=updates, every=1, title=title, session=session, allow_divergence=True)
+        # Hundreds of networks with their replays are gigabytes.
+        outcomes.append(outcome._replace(flat_states=None))
         return outcomes[-1]
 
     # The report before the first update is what counts here; a run has one at least.
