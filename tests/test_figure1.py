@@ -6,14 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from rich.console import Console
 
 from upslope.agents.ddpg import DDPGConfig
 from upslope.agents.dqn import DQNConfig
-from upslope.experiments.adaptation_panel import RULES, AdaptationPanel, Tuning
+from upslope.experiments.adaptation_panel import RULES, AdaptationPanel
 from upslope.experiments.plots import STYLES, draw
 from upslope.experiments.poles.figure1 import Figure1Config, figure1
 from upslope.experiments.report import findings, print_summary, write_report
@@ -142,29 +141,6 @@ def test_each_arm_takes_the_step_size_that_was_best_on_tuning_tasks(folder: Path
             tried = arm["means_on_tuning_tasks"]
             assert list(map(float, tried)) == list(TINY.panel.step_sizes)
             assert tried[f"{arm['step_size']:g}"] == max(tried.values())
-
-
-class TestTuning:
-    def test_every_step_size_is_tried_on_the_same_tasks(self) -> None:
-        tuning = Tuning((0.1, 0.2, 0.4), test_tasks=7)
-        assert tuning.task.tolist() == [0, 0, 0, 1, 1, 1, 2]
-        assert tuning.sizes.tolist() == [0.1, 0.2, 0.4, 0.1, 0.2, 0.4, 0.1]
-        assert tuning.of_tasks({"length": np.arange(7) + 10})["length"].tolist() == [10, 10, 10, 11, 11, 11, 12]
-
-    def test_all_step_sizes_share_the_keys_of_a_task(self) -> None:
-        keys = jax.random.split(jax.random.key(0), (2, 3, 7))
-        own = jax.random.key_data(Tuning((0.1, 0.2, 0.4), test_tasks=7).of_keys(keys))
-        np.testing.assert_array_equal(own, jax.random.key_data(keys)[:, :, jnp.asarray([0, 0, 0, 1, 1, 1, 2])])
-
-    def test_the_run_that_is_left_over_is_not_counted(self) -> None:
-        scores = np.arange(2 * 7 * 4.0).reshape(2, 1, 7, 4)
-        told = Tuning((0.1, 0.2, 0.4), test_tasks=7).by_size(scores)
-        assert told.shape == (2, 1, 2, 3, 4)
-        np.testing.assert_array_equal(told[1, 0, 1, 2], scores[1, 0, 5])
-
-    def test_with_fewer_tasks_than_sizes_all_sizes_are_tried_on_one(self) -> None:
-        tuning = Tuning((0.1, 0.2, 0.4), test_tasks=2)
-        assert (tuning.learners, tuning.task.tolist()) == (3, [0, 0, 0])
 
 
 def test_results_say_what_they_were_made_with(folder: Path) -> None:
