@@ -151,12 +151,21 @@ class TestGrids:
             )
             assert f"| `{name}` | {row['what']} | {' | '.join(cells)} |" in self.TEXT
 
-    def test_adaptation(self) -> None:
-        left = json.loads((ROOT / "docs" / "data" / "fig5" / "results.json").read_text())["panels"]["left"]
+    @pytest.mark.parametrize("figure", ["fig3-left", "fig5"])
+    def test_adaptation(self, figure: str) -> None:
+        left = json.loads((ROOT / "docs" / "data" / figure / "results.json").read_text())["panels"]["left"]
         for name in left["arms"]:
-            arms = [left["variants"][stop][name] for stop in ("1500", "3000", "6000")]
+            arms = [of_stop[name] for of_stop in left["variants"].values()]
             cells = (f"{arm['mean_over_evaluations']:.3f} | {sum(q >= 1 for q in arm['q1'][1:])}" for arm in arms)
             assert f"| `{name}` | {' | '.join(cells)} |" in self.TEXT
+        for stop, start in left["zero_shot_on_tuning_tasks"].items():
+            assert figure == "fig5" or f"{int(stop):,} ({start:.2f})" in self.TEXT
+            less = left["algorithm2_less"][stop]["maml"]
+            said = "{mean:.3f} ({low:.3f} to {high:.3f}".format(**less).replace("-", "−")
+            assert said in " ".join(self.TEXT.split())
+
+    def test_the_stop_that_figure_5_shows(self) -> None:
+        left = json.loads((ROOT / "docs" / "data" / "fig5" / "results.json").read_text())["panels"]["left"]
         starts = left["zero_shot_on_tuning_tasks"]
         assert f"1,500 ({starts['1500']:.2f})" in self.TEXT
         assert f"({starts['3000']:.2f} at 3,000)" in self.TEXT
