@@ -3,12 +3,11 @@
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from upslope.learner import AbstractLearner
 from upslope.run import chunks
-from upslope.run.randomness import unrolled
+from upslope.run.layout import laid_out
 from upslope.types import Keys
 
 
@@ -21,8 +20,7 @@ class Going:
 
     def __init__(self, learners: AbstractLearner, keys: Keys):
         self.count = len(keys)
-        padded = jax.tree.map(lambda leaf: _pad(leaf) if np.ndim(leaf) else leaf, (learners, unrolled(keys)))
-        self._learners, keys = chunks.spread(learners, padded)
+        _, self._learners, keys = laid_out(learners, keys)
         self._states, self._totals = chunks.start(self._learners, keys)
 
     def advance(self, steps: int) -> None:
@@ -43,8 +41,3 @@ class Going:
         chunk = chunks.advance(self._learners, self._states, self._totals, steps, fresh=False, report=report)
         self._states, self._totals, told = jax.block_until_ready((chunk.states, chunk.totals, chunk.report))
         return told
-
-
-def _pad(leaf: Any) -> Any:
-    missing = -leaf.shape[0] % chunks.devices(leaf.shape[0])
-    return jnp.concatenate([leaf, *[leaf[-1:]] * missing]) if missing else leaf

@@ -12,7 +12,8 @@ from support.comparing import assert_trees_identical
 from support.toys import Walk, walks
 from upslope.run.ahead import Ahead, shapes_of
 from upslope.run.compiling import compile_clock
-from upslope.run.loop import _laid_out, expect, run
+from upslope.run.layout import laid_out
+from upslope.run.loop import expect, run
 from upslope.run.session import Session
 
 COUNT = 5  # learners, unlike in other tests, so that nothing of theirs is compiled already
@@ -23,7 +24,7 @@ def keys(count=COUNT):
 
 
 def wait_for(ahead, learners, count=COUNT):
-    _, *placed = _laid_out(learners, keys(count))
+    _, *placed = laid_out(learners, keys(count))
     ahead.wait(shapes_of(tuple(placed)))
 
 

@@ -136,8 +136,7 @@ class Adaptation(AbstractTaskLearner):
 
     def gather(self, state: AdaptationState) -> tuple[Any, Transition]:
         _, act_key, _ = jax.random.split(state.key, 3)
-        phi, _ = self._asked(state)
-        policy = EpsilonGreedy(phi.advantage, self.config.epsilon)
+        policy = EpsilonGreedy((state.everywhere or state.phi).advantage, self.config.epsilon)
         return state.experience.act(act_key, self.family, self.task, policy, self.config.steps_per_update)
 
     def update(self, state: AdaptationState, gathered: tuple[Any, Transition]) -> tuple[AdaptationState, Metrics]:
@@ -145,19 +144,15 @@ class Adaptation(AbstractTaskLearner):
         running, seen = gathered
         experience = state.experience.remember(running, seen)
         batch = experience.sample(sample_key, self.config.batch_size).transition
-        _, prior = self._asked(state)
+        prior: Asked = state.prior_everywhere or self.prior
         phi = self.rule.update(state.phi, prior, batch, self.step_size)
         everywhere = looked_up(self.family, self.task, phi)
-        state = AdaptationState(key, phi, experience, everywhere, state.prior_everywhere)
-        now, prior = self._asked(state)
+        now: Asked = everywhere or phi
         moved = jnp.mean(jnp.abs(jax.vmap(now.value)(batch.obs) - jax.vmap(prior.value)(batch.obs)))
+        state = AdaptationState(key, phi, experience, everywhere, state.prior_everywhere)
         return state, vital_signs(seen) | {"value_change": moved}
 
     def report(self, state: AdaptationState) -> dict[str, Scalar]:
         key = jax.random.fold_in(state.key, 0)
-        phi, _ = self._asked(state)
-        return greedy_report(key, self.family, self.task, Greedy(phi.advantage), self.config.evaluation_episodes)
-
-    def _asked(self, state: AdaptationState) -> tuple[Asked, Asked]:
-        """φ and the prior, where no gradient flows."""
-        return state.everywhere or state.phi, state.prior_everywhere or self.prior
+        policy = Greedy((state.everywhere or state.phi).advantage)
+        return greedy_report(key, self.family, self.task, policy, self.config.evaluation_episodes)

@@ -18,7 +18,7 @@ def greedy_report(key: Key, family: AbstractFamily, task: Task, policy: Greedy, 
     In finite tasks it is exact, from the policy in every state, and the ``discounted_return`` comes with it; elsewhere
     it is the mean of some fresh episodes.
     """
-    if isinstance(family, JaxTasks) and is_finite(family):
+    if is_finite(family):
         return exact_report(family, task, policy)
     return {"return": greedy_return(key, family, task, policy, episodes)}
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from upslope.networks import DuelingQ
 from upslope.policies import AbstractPolicy
 from upslope.tasks.family import AbstractFamily
-from upslope.tasks.jax_tasks import JaxTasks, is_finite
+from upslope.tasks.jax_tasks import is_finite
 from upslope.types import Policy, Scalar, Task
 
 #: A state's scores among those of all states cost a third of what they cost alone (the paper's network, CPU).
@@ -42,8 +42,8 @@ class DuelingLookup(eqx.Module):
     """
 
     env: Any = eqx.field(static=True)
-    values: Float[Array, "*batch states"]
-    advantages: Float[Array, "*batch states actions"]
+    values: Float[Array, "states"]
+    advantages: Float[Array, "states actions"]
 
     def heads(self, obs: Float[Array, "*obs"]) -> tuple[Scalar, Float[Array, "actions"]]:
         """V(s) and the raw A(s, ·)."""
@@ -65,14 +65,14 @@ Asked = DuelingQ | DuelingLookup
 
 def looked_up(family: AbstractFamily, task: Task, network: DuelingQ) -> DuelingLookup | None:
     """The network in every state of one task; None where states can't be listed."""
-    if not (isinstance(family, JaxTasks) and is_finite(family)):
+    if not is_finite(family):
         return None
     return DuelingLookup(family.env, *jax.vmap(network.heads)(family.env.observe_all(task)))
 
 
 def looking_up(family: AbstractFamily, task: Task, policy: Policy, steps: int) -> Policy:
     """The same policy; in a finite task its scores are computed once for all states, where that is cheaper."""
-    if not (isinstance(policy, AbstractPolicy) and isinstance(family, JaxTasks) and is_finite(family)):
+    if not (isinstance(policy, AbstractPolicy) and is_finite(family)):
         return policy
     observations = family.env.observe_all(task)
     if len(observations) > _CHEAPER_TOGETHER * steps:

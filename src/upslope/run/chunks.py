@@ -231,8 +231,7 @@ def _advance_all(
     return _mapped(_advance_stack, devices, learners, states, totals, steps, fresh, report)
 
 
-# What runs once is compiled as fast as can be; what runs for long, well, and the start of adapting to thousands of maps
-# is of both kinds: it asks the prior about all of their states.
+# What runs once is compiled as fast as can be; what runs for long, well; starts on maps too, which ask a network a lot.
 _start_simply, _start_on_maps = (
     jax.jit(_start_all, static_argnames="devices", compiler_options=options)
     for options in (QUICK_TO_COMPILE, QUICK_TO_RUN)

@@ -8,20 +8,19 @@ from contextlib import suppress
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from upslope.errors import NotSavedError, UpslopeError
-from upslope.learner import AbstractLearner, AbstractTaskLearner
-from upslope.run import chunks, host_chunks
+from upslope.learner import AbstractLearner
+from upslope.run import host_chunks
 from upslope.run.ahead import Ahead, shapes_of
 from upslope.run.checkpoints import Stage, describe
 from upslope.run.compiling import CompileClock, compile_clock
 from upslope.run.health import check_finite
+from upslope.run.layout import laid_out, padded
 from upslope.run.outcome import Outcome
 from upslope.run.pace import Pace
 from upslope.run.position import Position, on_host
-from upslope.run.randomness import unrolled
 from upslope.run.session import Session
 from upslope.run.signals import StopRequest, stop_requests
 from upslope.types import Keys
@@ -61,7 +60,7 @@ def run(
         stage = session.checkpoints.stage(title, describe(learners, keys, updates, every))
     batch, count = keys.shape, math.prod(keys.shape)
     with compile_clock() as clock:
-        engine, learners, keys = _laid_out(learners, keys)
+        engine, learners, keys = laid_out(learners, keys)
         going = _Run(
             engine, learners, keys, count, [0, *range(every, updates, every), updates], title, allow_divergence
         )
@@ -93,7 +92,7 @@ def expect(learners: AbstractLearner, keys: Keys, ahead: Ahead) -> None:
         keys: likewise.
         ahead: the background; the run's session must have the same.
     """
-    engine, learners, keys = _laid_out(learners, keys)
+    engine, learners, keys = laid_out(learners, keys)
     ahead.submit(shapes_of((learners, keys)), lambda: engine.compile(learners, keys))
 
 
@@ -141,8 +140,8 @@ class _Run:
             self.reports.append(at_mark[0])
             self.metrics.append(at_mark[1])
         if position.states is not None:
-            padded = jax.tree.map(lambda leaf: _pad(leaf, self.engine), (position.states, position.totals))
-            self.states, self.totals = self.engine.spread(self.learners, padded)
+            whole = jax.tree.map(lambda leaf: padded(leaf, self.engine), (position.states, position.totals))
+            self.states, self.totals = self.engine.spread(self.learners, whole)
 
     def finish(self, session: Session, stage: Stage | None, request: StopRequest) -> None:
         """Takes the steps that are missing."""
@@ -233,24 +232,3 @@ def broadcast(learner: AbstractLearner, batch: tuple[int, ...]) -> AbstractLearn
 def _along_marks(items: list[Any]) -> Any:
     """``[learners, ...]`` of every mark as ``[learners, marks, ...]``."""
     return jax.tree.map(lambda *leaves: np.stack(leaves, 1), *items) if items else {}
-
-
-def _laid_out(learners: AbstractLearner, keys: Keys) -> tuple[Any, AbstractLearner, Keys]:
-    """What drives the learners; the learners and their keys with one axis for all batch axes, padded and in place."""
-    batch, count = keys.shape, math.prod(keys.shape)
-    on_host = isinstance(learners, AbstractTaskLearner) and learners.family.on_host
-    engine: Any = host_chunks if on_host else chunks
-
-    def flatten(leaf: Any) -> Any:
-        # By NumPy, because JAX would compile a program for each shape.
-        leaf = leaf if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else np.asarray(leaf)
-        return _pad(leaf.reshape(count, *leaf.shape[len(batch) :]), engine)
-
-    learners = jax.tree.map(lambda leaf: flatten(leaf) if np.ndim(leaf) else leaf, learners)
-    return engine, *engine.spread(learners, (learners, flatten(unrolled(keys))))
-
-
-def _pad(leaf: Any, engine: Any) -> Any:
-    """Repeats the last learner until the devices divide their number."""
-    missing = -leaf.shape[0] % engine.devices(leaf.shape[0])
-    return leaf[np.minimum(np.arange(leaf.shape[0] + missing), leaf.shape[0] - 1)] if missing else leaf

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeGuard
 
 import equinox as eqx
 import jax
@@ -120,7 +120,7 @@ def _ahead(keys: Keys, policy: Policy, obs: Float[Array, "n *obs"]) -> tuple[tup
     return (noise, step_keys), act
 
 
-def is_finite(family: AbstractFamily) -> bool:
+def is_finite(family: AbstractFamily) -> TypeGuard[JaxTasks]:
     """Whether all states of a task can be listed, so that tables fit it: its environment has ``observe_all``."""
     return isinstance(family, JaxTasks) and hasattr(family.env, "observe_all")
 
