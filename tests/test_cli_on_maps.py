@@ -15,7 +15,7 @@ def parsed(monkeypatch, *arguments):
     return parse()
 
 
-@pytest.mark.parametrize(("family", "iterations"), [("grid", 6000), ("obstacles", 6000), ("clean", 3000)])
+@pytest.mark.parametrize(("family", "iterations"), [("grid", 8000), ("obstacles", 8000), ("clean", 3000)])
 def test_the_defaults_are_the_family_s_recipe(family, iterations, monkeypatch):
     command = parsed(monkeypatch, "meta-train", family)
     assert isinstance(command, MetaTrain)

@@ -44,7 +44,7 @@ class TestSettings:
         assert config.panel.stops == (600, 1200, 2400)
         assert config.meta_training == for_grid_games(2400)
 
-    @pytest.mark.parametrize(("maps", "iterations"), [("obstacles", 6000), ("clean", 3000)])
+    @pytest.mark.parametrize(("maps", "iterations"), [("obstacles", 8000), ("clean", 3000)])
     def test_the_whole_protocol(self, maps, iterations):
         config = full_grid_figure(maps)
         assert config.meta_training == for_grid_games(iterations)

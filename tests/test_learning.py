@@ -51,7 +51,7 @@ def test_algorithm_2_is_ahead_of_maml_from_a_half_trained_prior(figure: FigureRe
 
 
 def test_a_tenth_of_the_training_on_maps_orders_the_cells_of_unseen_ones() -> None:
-    """After 600 of 6000 iterations: means of 0.51 and 0.43 were measured; an untrained V knows no order."""
+    """After 600 iterations of its own schedule: means of 0.51 and 0.43 were measured; an untrained V knows no order."""
     priors = meta_train_priors(obstacle_maps("train"), for_grid_games(600), FRESH, 2)
     unseen = obstacle_maps("test")
     maps = unseen.sample_many(key_for(FRESH, Purpose.TEST_TASKS), 40)

@@ -170,7 +170,7 @@ def as_printed() -> MetaTrainingConfig:
 
 
 #: Of meta-training on the paper's maps. Every clean training map is solved after a thousand.
-ITERATIONS = {"obstacles": 6000, "clean": 3000}
+ITERATIONS = {"obstacles": 8000, "clean": 3000}
 
 
 def suited_to(family: AbstractFamily) -> MetaTrainingConfig:

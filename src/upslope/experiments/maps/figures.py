@@ -31,7 +31,7 @@ GRID_PANELS: tuple[GridPanelName, ...] = ("left", "right")
 
 #: Iterations at which the left panel stops Algorithm 1: two at which success on training maps shows that something is
 #: left to learn; and the end, but of clean maps, all of which the priors solve then.
-STOPS: dict[Maps, tuple[int, ...]] = {"obstacles": (1500, 3000, 6000), "clean": (561, 748)}
+STOPS: dict[Maps, tuple[int, ...]] = {"obstacles": (2000, 4000, 8000), "clean": (561, 748)}
 
 
 @dataclass(frozen=True)
