@@ -8,7 +8,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from upslope.convolution import FORMS, ON_GPUS, Precision
+from upslope.convolution import ON_GPUS, Precision
+from upslope.convolution_forms import FORMS
 from upslope.meta_training import MetaTraining
 from upslope.networks import DuelingQ
 from upslope.recipes import MetaTrainingConfig

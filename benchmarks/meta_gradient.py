@@ -28,13 +28,14 @@ from benchmarks.convolutional_step import (
 )
 from benchmarks.harness import Bar, Part, Row
 from upslope.compiler_options import ONE_THREAD
-from upslope.convolution import FORMS, Precision, fastest_form
+from upslope.convolution import Precision, fastest_form
+from upslope.convolution_forms import FORMS
 from upslope.meta_training import TaskSamples
 from upslope.networks import DuelingQ
 from upslope.run.compiling import set_up_devices
 
 #: The forms of the convolution worth timing in every run; ``--forms`` names others.
-IN_THE_RUN = ("closed", "patches", "shifts", "winograd")
+IN_THE_RUN = ("patches", "rows", "shifts", "winograd")
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def main(options: Options) -> None:
     work: dict[str, float] = {}
     for index, count in enumerate(numbers):
         sizes = Sizes(2 if options.quick else count, options.batch)
-        forms = options.forms if index == 0 else (fastest_form(adapted=True),)
+        forms = options.forms if index == 0 else (fastest_form(),)
         for target in ("stopped", "kept") if index == 0 else ("stopped",):
             found = parts_of(sizes, forms, target, options)
             parts |= found
@@ -101,7 +102,7 @@ def parts_of(sizes: Sizes, forms: tuple[str, ...], target: str, options: Options
         from benchmarks.peers.torch_meta_gradient import peer_steps
 
         batch = jax.tree.map(np.asarray, transitions(sizes))
-        for peer, step in peer_steps(batch, network(fastest_form(adapted=True)), INNER_STEP_SIZE).items():
+        for peer, step in peer_steps(batch, network(fastest_form()), INNER_STEP_SIZE).items():
             found[name(peer)] = Part(partial(step, target))
     return found
 
@@ -112,7 +113,7 @@ def bars(rows: dict[str, Row]) -> list[Bar]:
     for which in dict.fromkeys(name.split(":")[0] for name in rows if ": " in name):
         own = {name.split(": ")[1]: row for name, row in rows.items() if name.startswith(f"{which}: ")}
         peers = {name: row for name, row in own.items() if name.startswith("PyTorch")}
-        default = f"upslope, {fastest_form(adapted=True)}"
+        default = f"upslope, {fastest_form()}"
         if default in own:
             found += pair_of_bars(which, default, own, peers, 1)
         each = [name for name in own if name.endswith(EACH_CORE)]

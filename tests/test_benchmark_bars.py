@@ -43,7 +43,7 @@ def test_a_learner_on_each_core_is_judged_by_its_best_form():
     assert (share.measured, against.measured) == (0.5, 0.5)
     assert "slower" in against.bound
     assert "2.5 × that is 1.5 times" in against.bound
-    assert "closed" in each.what
+    assert "rows" in each.what
     assert (each.measured, each.verdict) == (0.7, "met")
     assert each_against.measured == jax.device_count() * 0.1 / 0.2
 

@@ -188,10 +188,10 @@ def test_the_loss_and_one_update_of_the_clean_dqn_are_ours():
 @pytest.mark.parametrize("target", ["stopped", "kept"])
 def test_the_convolutional_peers_outer_gradient_is_ours(target):
     sizes = Sizes(tasks=2, batch=3)
-    loss, gradient = upslope_step(sizes, "closed", target)()
+    loss, gradient = upslope_step(sizes, "rows", target)()
     batch = jax.tree.map(np.asarray, transitions(sizes))
     expected = torch_weights(gradient, batch.obs.shape[2:])
-    for how, step in peer_steps(batch, network("closed"), INNER_STEP_SIZE).items():
+    for how, step in peer_steps(batch, network("rows"), INNER_STEP_SIZE).items():
         found_loss, found = step(target)
         assert found_loss == pytest.approx(float(loss), rel=1e-3), how
         for name, array in expected.items():

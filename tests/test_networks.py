@@ -12,7 +12,7 @@ import upslope
 from support.batches import small_network
 from upslope.actor_critic import Actor, Critic
 from upslope.agents.dqn import DQN, for_maps
-from upslope.convolution import FORMS
+from upslope.convolution_forms import FORMS
 from upslope.errors import UpslopeError
 from upslope.meta_training import MetaTraining
 from upslope.networks import MLP, DuelingQ, QNetwork, convolutional_torso, with_convolutions

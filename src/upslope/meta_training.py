@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from upslope.convolution import fastest_form
 from upslope.errors import UpslopeError
 from upslope.finite_posterior import FiniteSamples, collect_steps, outer_loss_in_all_states, q_tables
 from upslope.learner import AbstractTaskLearner, vital_signs
@@ -89,8 +88,7 @@ class MetaTraining(AbstractTaskLearner):
             family.observation_scale,
             config.activation,
         )
-        form = fastest_form(adapted=config.posterior == "network")
-        theta = with_convolutions(theta, config.precision, form)
+        theta = with_convolutions(theta, config.precision)
         acting = theta if self.family.on_host else None
         return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta), acting)
 

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from upslope.convolution import PRECISIONS, Convolution, Precision, convolve, fastest_form
+from upslope.convolution import PRECISIONS, Precision, convolve, fastest_form
+from upslope.convolution_forms import Convolution
 from upslope.errors import UpslopeError
 from upslope.losses import dueling_q
 from upslope.prior_file import CHANNELS
