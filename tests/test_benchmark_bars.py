@@ -32,11 +32,11 @@ def test_a_job_that_forgets_its_programs_compiles_each_time():
 def test_a_learner_on_each_core_is_judged_by_its_best_form():
     rows = {"a product": {"median": 1.0}}
     for name, median, share in (
-        ("upslope, patches", 0.2, 0.5),
+        ("upslope, winograd", 0.2, 0.5),
         ("PyTorch, torch.func", 0.1, 0.6),
         ("PyTorch, loop over tasks", 0.3, 0.2),
-        (f"upslope, patches, {EACH_CORE}", 0.4, 0.5),
-        (f"upslope, closed, {EACH_CORE}", 0.2, 0.7),
+        (f"upslope, winograd, {EACH_CORE}", 0.4, 0.5),
+        (f"upslope, rows, {EACH_CORE}", 0.2, 0.7),
     ):
         rows[f"10 tasks, stopped: {name}"] = {"median": median, SHARE: share}
     share, against, each, each_against = meta_gradient.bars(rows)
