@@ -191,3 +191,44 @@ class TestPrecision:
         products = [line for line in lowered.as_text().splitlines() if "dot_general" in line]
         assert len(products) >= 3
         assert all(said in line for line in products)
+
+
+def passes(jaxpr):
+    """The shapes of the images that each convolution and correlation of a program takes."""
+    return [eqn.invars[0].aval.shape for eqn in jaxpr.eqns if eqn.primitive.name.endswith("_3x3")]
+
+
+class TestMapping:
+    """What is mapped over images is one operation on all of them: mapped part by part it takes twice as long."""
+
+    def test_over_images_forwards_and_backwards(self):
+        images, kernel = images_and_kernel((6, 4, 3, 2, 5))
+
+        def loss(kernel):
+            by_two = jax.vmap(jax.vmap(in_form("winograd"), (0, None)), (0, None))
+            return jnp.sum(jnp.sin(by_two(images.reshape(2, 3, 4, 3, 2), kernel)))
+
+        assert passes(jax.make_jaxpr(jax.grad(loss))(kernel)) == [(2, 3, 4, 3, 2)] * 2
+
+    def test_along_any_axis(self):
+        images, kernel = images_and_kernel((6, 4, 3, 2, 5))
+        mapped = jax.vmap(in_form("winograd"), (2, None), 1)(jnp.moveaxis(images, 0, 2), kernel)
+        np.testing.assert_allclose(jnp.moveaxis(mapped, 1, 0), convolve(images, kernel, "lax"), atol=1e-12)
+
+    def test_gradients_of_single_images(self):
+        images, kernel = images_and_kernel((4, 4, 3, 2, 5))
+
+        def gradients(form):
+            return jax.vmap(jax.grad(lambda kernel, image: jnp.sum(jnp.sin(form(image, kernel)))), (None, 0))
+
+        np.testing.assert_allclose(
+            gradients(in_form("winograd"))(kernel, images), gradients(lax_convolution)(kernel, images), atol=1e-9
+        )
+
+    def test_forward_mode(self):
+        both = images_and_kernel((2, 5, 6, 3, 4))
+        along = images_and_kernel((2, 5, 6, 3, 4), seed=1)
+        for ours, theirs in zip(
+            jax.jvp(in_form("winograd"), both, along), jax.jvp(lax_convolution, both, along), strict=True
+        ):
+            np.testing.assert_allclose(ours, theirs, atol=1e-12)

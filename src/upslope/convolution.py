@@ -92,21 +92,19 @@ def _turned(kernel: Kernel) -> Float[Array, "3 3 outputs inputs"]:
     return kernel[::-1, ::-1].swapaxes(2, 3)
 
 
-def _operation(name: str, function: Callable[..., Array], *, side_by_side: bool = False) -> Primitive:
+def _operation(
+    name: str, function: Callable[..., Array], shape: Callable[[Any, Any], tuple[int, ...]], *, side_by_side: bool
+) -> Primitive:
     """A JAX primitive of two arrays, computed by a function.
 
     Args:
         name: in JAX's messages.
         function: what computes it, of arrays with any leading axes.
+        shape: of its result.
         side_by_side: what is mapped over the first array alone is one more leading axis of it. All else is mapped as
             JAX maps what the function is made of.
     """
     primitive = Primitive(name)
-
-    def shape(a: Any, b: Any, **settings: Any) -> jax.core.ShapedArray:
-        specs = (jax.ShapeDtypeStruct(array.shape, array.dtype) for array in (a, b))
-        found = jax.eval_shape(functools.partial(function, **settings), *specs)
-        return jax.core.ShapedArray(found.shape, found.dtype)
 
     def batched(arrays: tuple[Array, Array], axes: tuple[int | None, int | None], **settings: Any) -> tuple[Array, int]:
         if side_by_side and axes[0] is not None and axes[1] is None:
@@ -114,15 +112,25 @@ def _operation(name: str, function: Callable[..., Array], *, side_by_side: bool 
             return primitive.bind(jnp.moveaxis(images, axes[0], 0), shared, **settings), 0
         return jax.vmap(functools.partial(function, **settings), axes)(*arrays), 0
 
-    primitive.def_impl(lambda *arrays, **settings: jax.jit(functools.partial(function, **settings))(*arrays))
-    primitive.def_abstract_eval(shape)
+    primitive.def_impl(jax.jit(function, static_argnames=("form", "precision", "backend")))
+    primitive.def_abstract_eval(lambda a, b, **settings: jax.core.ShapedArray(shape(a, b), a.dtype))
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=False))
     batching.primitive_batchers[primitive] = batched
     return primitive
 
 
-_convolution = _operation("convolution_3x3", _convolved, side_by_side=True)
-_correlation = _operation("correlation_3x3", _correlated)
+_convolution = _operation(
+    "convolution_3x3",
+    _convolved,
+    lambda images, kernel: (*images.shape[:-1], kernel.shape[-1]),
+    side_by_side=True,
+)
+_correlation = _operation(
+    "correlation_3x3",
+    _correlated,
+    lambda images, cotangents: (3, 3, images.shape[-1], cotangents.shape[-1]),
+    side_by_side=False,
+)
 ad.defbilinear(
     _convolution,
     lambda cotangents, images, kernel, **settings: _convolution.bind(cotangents, _turned(kernel), **settings),

@@ -200,13 +200,12 @@ class QNetwork(eqx.Module):
 Network = TypeVar("Network", DuelingQ, QNetwork)
 
 
-def with_convolutions(network: Network, precision: str, form: Convolution | None = None) -> Network:
+def with_convolutions(network: Network, precision: str) -> Network:
     """The same network with other convolutions, if it has any.
 
     Args:
         network: of any kind.
         precision: how many bits there are in what they multiply.
-        form: how they are computed; as before if None.
 
     Raises:
         UpslopeError: an unknown precision.
@@ -215,5 +214,5 @@ def with_convolutions(network: Network, precision: str, form: Convolution | None
         raise UpslopeError(f"There is no precision {precision!r}: choose {', '.join(PRECISIONS)}.")
     if not isinstance(network.torso, ConvolutionalTorso):
         return network
-    torso = replace(network.torso, precision=precision, convolution=form or network.torso.convolution)
+    torso = replace(network.torso, precision=precision)
     return eqx.tree_at(lambda network: network.torso, network, torso)
