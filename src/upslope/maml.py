@@ -107,8 +107,10 @@ def gradient_task_by_task(loss: Callable[[Params, Data], Scalar], params: Params
     count = jax.tree.leaves(data)[0].shape[0]
 
     def add(total: tuple[Scalar, Params], task_data: Data) -> tuple[tuple[Scalar, Params], None]:
+        # XLA would take out of the loop what only θ is needed for, and then no longer see that passes are the same.
+        theta, task_data = jax.lax.optimization_barrier((params, task_data))
         # Differentiated in here, nothing of one task is kept for the next.
-        return jax.tree.map(jnp.add, total, jax.value_and_grad(loss)(params, task_data)), None
+        return jax.tree.map(jnp.add, total, jax.value_and_grad(loss)(theta, task_data)), None
 
     nothing = (jnp.zeros(()), jax.tree.map(jnp.zeros_like, params))
     total, _ = jax.lax.scan(add, nothing, data)
