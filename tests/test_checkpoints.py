@@ -74,9 +74,9 @@ def checkpoints(folder, **settings):
     return Checkpoints(folder, **{"every_updates": 1, **settings})
 
 
-def walk(folder=None, *, observers=(), updates=7, drifts=(0.0, 1.0, 2.0), keys=KEYS, **settings):
+def walk(folder=None, *, observers=(), updates=7, until=None, drifts=(0.0, 1.0, 2.0), keys=KEYS, **settings):
     kept = None if folder is None else checkpoints(folder, **settings)
-    return run(walks(list(drifts)), keys, updates=updates, every=2, session=Session(observers, kept))
+    return run(walks(list(drifts)), keys, updates=updates, every=2, until=until, session=Session(observers, kept))
 
 
 def stop_at(folder, update, number=signal.SIGTERM, **settings):
@@ -137,6 +137,22 @@ class TestResuming:
         assert again.flat_states is None
         assert_trees_identical(again.reports, first.reports)
         assert len(files(tmp_path)) == 1
+
+    def test_one_that_ended_early_is_gone_on_with(self, tmp_path):
+        first = walk(tmp_path, until=4, final_states=False)
+        assert first.updates.tolist() == [0, 2, 4]
+        assert_same(walk(tmp_path, until=4, resume=True), first)
+        assert_same(walk(tmp_path, resume=True), walk())
+
+    def test_of_one_that_went_farther_only_the_beginning_is_taken(self, tmp_path):
+        first, memory = walk(tmp_path), Memory()
+        begun = walk(tmp_path, until=4, resume=True, observers=[memory])
+        assert begun.flat_states is None, "those there are of a later step"
+        assert begun.updates.tolist() == [0, 2, 4]
+        assert [told[1] for told in memory.told if told[0] == "record"] == [0, 2, 4]
+        of_first = jax.tree.map(lambda leaf: leaf[:, :3], (first.reports, first.metrics))
+        assert_trees_identical((begun.reports, begun.metrics), of_first)
+        assert_same(walk(tmp_path, resume=True), first)
 
     def test_nothing_there_means_a_fresh_start(self, tmp_path):
         assert_same(walk(tmp_path, resume=True), walk())

@@ -31,7 +31,7 @@ TINY = GridFigureConfig(
     every=2,
     meta_training=replace(for_grid_games(4), **SMALL),
     multi_task=replace(multi_task_dqn(4), **SMALL),
-    panel=AdaptationPanel(stops=(2, 4), updates=2, step_sizes=(0.01, 0.1), start=0.5, average="mean"),
+    panel=AdaptationPanel(stops=(0, 2), updates=2, step_sizes=(0.01, 0.1), start=0.5, average="mean"),
     adaptation=AdaptationConfig(batch_size=4, replay_capacity=64, steps_per_update=5),
     dqn=DQNConfig(hidden=(8, 8), batch_size=4, warmup_steps=5, replay_capacity=64),
 )
@@ -162,6 +162,7 @@ class TestRun:
         for name, values in alone.items():
             np.testing.assert_array_equal(values, both[name])
         results = json.loads((tmp_path / "left" / "results.json").read_text(encoding="utf-8"))
+        assert results["training"]["iterations"] == [0, 2], "nothing is learned that no stop needs"
         assert "multi_task_returns" not in results["training"]
         assert not [name for row in results["priors"] for name in row if name.startswith("multi_task")]
         assert "multi-task DQN" not in (tmp_path / "left" / "report.html").read_text(encoding="utf-8")

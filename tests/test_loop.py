@@ -45,6 +45,18 @@ class TestMarksAndShapes:
         assert outcome.updates.tolist() == marks
         assert outcome.states.steps.tolist() == [updates] * 3
 
+    @pytest.mark.parametrize(
+        ("until", "marks"), [(0, [0]), (1, [0, 3]), (3, [0, 3]), (4, [0, 3, 6]), (7, [0, 3, 6, 7]), (9, [0, 3, 6, 7])]
+    )
+    def test_a_run_can_end_at_an_earlier_mark(self, until, marks):
+        memory, whole = Memory(), walk()
+        short = walk(until=until, session=Session([memory]))
+        assert short.updates.tolist() == marks
+        assert short.states.steps.tolist() == [marks[-1]] * 3
+        assert memory.told[0] == ("begin", "learning", marks[-1], 3)
+        of_whole = jax.tree.map(lambda leaf: leaf[:, : len(marks)], (whole.reports, whole.metrics))
+        assert_trees_identical((short.reports, short.metrics), of_whole)
+
     def test_metrics_are_means_over_chunks(self):
         # Steps 1 to 3, 4 to 6, and 7; nothing before the first.
         np.testing.assert_allclose(walk().metrics["step"], [[0, 2, 5, 7]] * 3)

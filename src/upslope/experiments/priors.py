@@ -50,13 +50,15 @@ def meta_train_priors(
     session: Session | None = None,
     title: str = "meta-training",
     allow_divergence: bool = False,
+    until: int | None = None,
 ) -> Priors:
-    """Algorithm 1, one prior per seed, all in one program."""
+    """Algorithm 1, one prior per seed, all in one program; ``until`` an iteration if no more is needed."""
     outcome = run(
         broadcast(MetaTraining(family, config), (seeds,)),
         keys_for(first_seed, seeds, Purpose.META_TRAINING),
         updates=config.iterations,
         every=config.snapshot_every,
+        until=until,
         title=title,
         session=session,
         allow_divergence=allow_divergence,

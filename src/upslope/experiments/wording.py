@@ -34,7 +34,8 @@ def _of_maps(rows: list[dict[str, Any]]) -> str:
         values = [row[name] for row in rows]
         return f"{min(values):.2f}" if min(values) == max(values) else f"{min(values):.2f} to {max(values):.2f}"
 
-    solved = f"Before any learning there the priors solve {span('zero_shot_mean')} of the unseen maps"
+    age = f"the priors, after {rows[0]['iterations']:,} iterations,"
+    solved = f"Before any learning there {age} solve {span('zero_shot_mean')} of the unseen maps"
     if "multi_task_zero_shot_mean" not in rows[0]:  # no control was trained
         return f"{solved}; rank correlation of V with V* {span('rank_correlation')}."
     return (

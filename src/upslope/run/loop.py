@@ -3,6 +3,7 @@
 import math
 import time
 import warnings
+from bisect import bisect_left
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -32,6 +33,7 @@ def run(
     *,
     updates: int,
     every: int,
+    until: int | None = None,
     title: str = "learning",
     session: Session | None = None,
     allow_divergence: bool = False,
@@ -43,6 +45,8 @@ def run(
         keys: one key for each learner ``[*batch]``.
         updates: steps of each learner.
         every: steps between reports.
+        until: end at the first report at or after this step, as a run stopped there that can be gone on with; of one
+            that had gone farther, leave out what came later. None takes all steps.
         title: what observers call this run; with checkpoints, different from those of the session's other runs.
         session: who watches, and where checkpoints go.
         allow_divergence: carry on with non-finite metrics, as sweeps over step sizes must.
@@ -59,15 +63,15 @@ def run(
     if session.checkpoints is not None:
         stage = session.checkpoints.stage(title, describe(learners, keys, updates, every))
     batch, count = keys.shape, math.prod(keys.shape)
+    marks = [0, *range(every, updates, every), updates]
+    marks = marks if until is None else marks[: bisect_left(marks, until) + 1]
     with compile_clock() as clock:
         engine, learners, keys = laid_out(learners, keys)
-        going = _Run(
-            engine, learners, keys, count, [0, *range(every, updates, every), updates], title, allow_divergence
-        )
+        going = _Run(engine, learners, keys, count, marks, updates, title, allow_divergence)
         if stage is not None:
             going.restore(stage.load(going.skeleton, allow_divergence=allow_divergence))
         for observer in session.observers:
-            observer.begin(title, updates, count)
+            observer.begin(title, marks[-1], count)
         try:
             if stage is None:
                 going.finish(session, None, StopRequest())
@@ -106,12 +110,13 @@ class _Run:
         keys: Keys,
         count: int,
         marks: list[int],
+        updates: int,
         title: str,
         allow_divergence: bool,
     ):
         self.engine = engine
         self.learners, self.keys, self.count, self.marks = learners, keys, count, marks
-        self.title, self.allow_divergence = title, allow_divergence
+        self.updates, self.title, self.allow_divergence = updates, title, allow_divergence
         self.states: Any = None
         self.totals: Any = None
         self.update = 0
@@ -133,13 +138,15 @@ class _Run:
             return
         if self.engine is host_chunks:
             warnings.warn(f"{self.title}: episodes on the host can't be restored; new ones are begun.", stacklevel=3)
-        self.update, self.times, self.seconds = position.update, position.times.tolist(), position.seconds.tolist()
+        known = len(self.marks)
+        self.update = position.update
+        self.times, self.seconds = position.times[:known].tolist(), position.seconds[:known].tolist()
         self.began -= float(position.elapsed)
         for index in range(len(self.times)):
             at_mark = jax.tree.map(lambda leaf, i=index: leaf[:, i], (position.reports, position.metrics))
             self.reports.append(at_mark[0])
             self.metrics.append(at_mark[1])
-        if position.states is not None:
+        if position.states is not None and self.update <= self.marks[-1]:
             whole = jax.tree.map(lambda leaf: padded(leaf, self.engine), (position.states, position.totals))
             self.states, self.totals = self.engine.spread(self.learners, whole)
 
@@ -172,7 +179,8 @@ class _Run:
             if request.signal:
                 request.stop(f"{self.title}: stopped at update {self.update} of {self.marks[-1]}")
         if stage is not None:
-            stage.finish(self.position(), allow_divergence=self.allow_divergence)
+            keep = stage.finish if self.update == self.updates else stage.save
+            keep(self.position(), allow_divergence=self.allow_divergence)
 
     def _advance(self, steps: int, known_good: Callable[[], str]) -> bool:
         """One chunk. Returns whether it ended at a mark."""

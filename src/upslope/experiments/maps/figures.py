@@ -141,7 +141,9 @@ def grid_figure(
         family, unseen = families(config.maps)
         tasks = unseen.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
         titles = trainings(config.maps, panels)
-        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session, titles[0])
+        # The left panel alone needs the priors as they are at its stops, not at the end.
+        until = None if "right" in panels else max(config.panel.stops)
+        priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session, titles[0], until=until)
         control = None
         if "right" in panels:
             control = meta_train_priors(family, config.multi_task, seed, config.seeds, session, titles[1])
@@ -194,6 +196,7 @@ def _describe(
         solved = describe_priors(np.stack([np.asarray(one.success) for one in found]), first_seed)
         for row, one, described in zip(rows, found, solved, strict=True):
             row["seed"] = described.pop("seed")
+            row.setdefault("iterations", int(priors.iterations[-1]))
             row |= {f"{prefix}{name}": value for name, value in described.items()}
             for name in ("rank_correlation", "action_optimality", "discounted_return"):
                 row[f"{prefix}{name}"] = float(np.mean(getattr(one, name)))
