@@ -22,9 +22,9 @@ from benchmarks.harness import Bar, Part, Row
 from upslope.agents.dqn import DQN, DQNConfig
 from upslope.meta_training import MetaTraining
 from upslope.recipes import MetaTrainingConfig
-from upslope.run import chunks
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
+from upslope.sharing import most_devices
 from upslope.tasks import cartpoles
 
 ROOT = Path(__file__).parents[1]
@@ -150,7 +150,7 @@ def started(job: str, count: int) -> Going:
         tasks = cartpoles().sample_many(jax.random.key(1), count)
         return Going(DQN(cartpoles(), tasks, None, DQNConfig(evaluation_episodes=1)), keys)
     if job == SHARED:
-        chunks.sharing_pays = lambda: True
+        MetaTraining.most_devices = lambda self, devices: most_devices(self.config.tasks, devices)  # type: ignore[method-assign]
     config = MetaTrainingConfig(evaluation_tasks=1, evaluation_episodes=1)
     return Going(broadcast(MetaTraining(cartpoles(), config), (count,)), keys)
 

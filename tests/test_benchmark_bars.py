@@ -6,7 +6,7 @@ import pytest
 from benchmarks import environments, meta_gradient, scaling
 from benchmarks.compile_costs import EVENTS, WAITED, Forgetful, covered
 from benchmarks.learning_curves import standard_errors_apart
-from benchmarks.meta_gradient import EACH_CORE, SHARE
+from benchmarks.meta_gradient import EACH_CORE, SHARE, SHARED
 
 
 def test_seconds_within_spans_count_once():
@@ -46,6 +46,9 @@ def test_a_learner_on_each_core_is_judged_by_its_best_form():
     assert "rows" in each.what
     assert (each.measured, each.verdict) == (0.7, "met")
     assert each_against.measured == jax.device_count() * 0.1 / 0.2
+    rows[f"10 tasks, stopped: upslope, winograd, {SHARED}"] = {"median": 0.05, SHARE: 0.8}
+    share, against, *_ = meta_gradient.bars(rows)
+    assert (share.measured, against.measured) == (0.8, 2.0), "a learner alone has its tasks shared"
 
 
 def test_exponents_of_medians_and_of_the_fastest():

@@ -32,7 +32,7 @@ class AbstractLearner(eqx.Module):
         """
 
     def most_devices(self, devices: int) -> int:
-        """How many of so many devices could share the work of one learner."""
+        """How many of so many devices are to share the work of one learner."""
         del devices
         return 1
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from upslope.errors import UpslopeError
 from upslope.finite_posterior import FiniteSamples, collect_steps, outer_loss_in_all_states, q_tables
-from upslope.learner import AbstractTaskLearner, vital_signs
+from upslope.learner import AbstractTaskLearner, in_turn, vital_signs
 from upslope.losses import prior_learning_loss, td_loss
 from upslope.maml import adapt, gradient_task_by_task
 from upslope.networks import DuelingQ, with_convolutions
@@ -65,7 +65,9 @@ class MetaTraining(AbstractTaskLearner):
     shared_over: str | None = eqx.field(static=True, default=None)
 
     def most_devices(self, devices: int) -> int:
-        return most_devices(self.config.tasks, devices)
+        # Cores of one CPU wait for each other at each outer step, and all gather: long tasks alone are worth it.
+        short = jax.default_backend() == "cpu" and not (self.config.task_by_task and in_turn(self))
+        return 1 if short else most_devices(self.config.tasks, devices)
 
     def over(self, axis: str) -> "MetaTraining":
         return replace(self, shared_over=axis)

@@ -23,16 +23,11 @@ _FEWEST, _MOST = 8, 16
 def mesh(learners: AbstractLearner, count: int) -> Mesh:
     """The local devices that so many learners are laid over ``[learners, tasks]``.
 
-    Where more devices than learners are left, several share the tasks of each learner, if it has tasks to share.
+    Where more devices than learners are left, several share the work of each learner, if that is worth it.
     """
     own = devices(count)
-    sharing = learners.most_devices(len(jax.local_devices()) // own) if sharing_pays() else 1
+    sharing = learners.most_devices(len(jax.local_devices()) // own)
     return Mesh(np.asarray(jax.local_devices()[: own * sharing]).reshape(own, sharing), (_AXIS, _SHARED))
-
-
-def sharing_pays() -> bool:
-    """Whether devices left over are to share the tasks of a learner: not cores of one CPU (docs/performance.md)."""
-    return jax.default_backend() != "cpu"
 
 
 def devices(learners: int) -> int:
