@@ -167,8 +167,8 @@ class TestGrids:
     def test_the_stop_that_figure_5_shows(self) -> None:
         left = json.loads((ROOT / "docs" / "data" / "fig5" / "results.json").read_text())["panels"]["left"]
         starts = left["zero_shot_on_tuning_tasks"]
-        assert f"1,500 ({starts['1500']:.2f})" in self.TEXT
-        assert f"({starts['3000']:.2f} at 3,000)" in self.TEXT
+        assert left["stop"] == 2000
+        assert f"2,000 ({starts['2000']:.2f}; {starts['4000']:.2f} at 4,000)" in self.TEXT
 
     def test_what_limits_them(self) -> None:
         row = self.READINGS["algorithm1"]
