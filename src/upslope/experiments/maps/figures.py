@@ -187,7 +187,7 @@ def _describe(
 ) -> list[dict[str, Any]]:
     """One row per seed: what its prior, and that of multi-task DQN, know of the unseen maps from the start."""
     known = truths(family.env, tasks, family.gamma)
-    rows: list[dict[str, Any]] = [{} for _ in priors.chosen]
+    rows: list[dict[str, Any]] = [{"iterations": int(priors.iterations[-1])} for _ in priors.chosen]
     for prefix, of_seeds in (("", priors), ("multi_task_", control)):
         if of_seeds is None:
             continue
@@ -196,7 +196,6 @@ def _describe(
         solved = describe_priors(np.stack([np.asarray(one.success) for one in found]), first_seed)
         for row, one, described in zip(rows, found, solved, strict=True):
             row["seed"] = described.pop("seed")
-            row.setdefault("iterations", int(priors.iterations[-1]))
             row |= {f"{prefix}{name}": value for name, value in described.items()}
             for name in ("rank_correlation", "action_optimality", "discounted_return"):
                 row[f"{prefix}{name}"] = float(np.mean(getattr(one, name)))
