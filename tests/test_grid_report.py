@@ -19,6 +19,7 @@ from upslope.experiments.results import SUCCESS, Arm, FigureResult, Panel, arm_o
 
 ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "multi_task_dqn", "manhattan", "oracle"]
 LESS = {"unshaped": {"mean": 0.5, "low": 0.42, "high": 0.58}, "oracle": {"mean": -0.021, "low": -0.03, "high": -0.01}}
+BELOW = {"percent": 3.42, "low": -0.5, "high": 7.1, "of_seeds": [5.2, -1.94]}
 UPDATES = np.array([0, 25, 50])
 
 
@@ -34,7 +35,7 @@ def result() -> FigureResult:
     left = {name: arm([5, 5, 5], {"step_size": 0.1}) for name in RULES} | {"algorithm2": arm([5, 7, 8])}
     panels = {
         "left": Panel("Adaptation", left, 1.0, 2.0, variants={"10": left, "20": left}),
-        "right": Panel("Shaping only: DQN", right, 1.0, 2.0, notes={"prior_less": LESS}),
+        "right": Panel("Shaping only: DQN", right, 1.0, 2.0, notes={"prior_less": LESS, "percent_below_oracle": BELOW}),
     }
     prior = {"zero_shot_mean": 0.5, "rank_correlation": 0.9}
     control = {f"multi_task_{name}": value / 2 for name, value in prior.items()}
@@ -59,7 +60,7 @@ def test_numbers_stay_whole_in_a_narrow_terminal(result):
 
 
 def test_findings(result):
-    priors, left, right, differences = findings(result)
+    priors, left, right, differences, below = findings(result)
     assert "the priors, after 2,000 iterations, solve 0.50 of the unseen maps" in priors
     assert "those of multi-task DQN 0.25" in priors
     assert "0.90 and 0.45" in priors
@@ -70,6 +71,8 @@ def test_findings(result):
     assert "the prior of multi-task DQN 0.20, Manhattan distance 0.20, the oracle 0.20" in right
     assert differences.startswith("Shaping only: DQN: the prior's mean success less that of each other arm,")
     assert "no shaping 0.500 (0.420 to 0.580); oracle −0.021 (−0.030 to −0.010)." in differences
+    assert "is 3.4 (−0.5 to 7.1) percent below that with the oracle, over tasks and seeds;" in below
+    assert below.endswith("with the prior of each seed −1.9, 5.2.")
     without = replace(result.panels["right"], notes={})
     assert len(findings(replace(result, panels={"right": without}))) == 2
 

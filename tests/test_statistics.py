@@ -11,6 +11,7 @@ from upslope.statistics import (
     first_at_least,
     interquartile_mean,
     paired_difference,
+    paired_shortfall,
     quartiles,
 )
 
@@ -154,3 +155,38 @@ class TestPairedDifference:
             found = paired_difference(ours, np.zeros_like(ours), samples=400, seed=trial)
             hits += found.low <= 0.5 <= found.high
         assert 180 <= hits <= 198
+
+
+class TestPairedShortfall:
+    def test_by_hand(self):
+        shortfall = paired_shortfall(0.75 * EIGHT, EIGHT)
+        assert shortfall[:3] == pytest.approx((25.0, 25.0, 25.0))
+        assert shortfall.of_seeds == pytest.approx([25.0, 25.0])
+
+    def test_it_is_of_means_and_not_a_mean_of_percents(self):
+        # One task earns 1 instead of 2, the other 8 as before: a tenth is missing of all, half of the first.
+        ours, theirs = np.array([1.0, 8.0]).reshape(1, 2, 1), np.array([2.0, 8.0]).reshape(1, 2, 1)
+        shortfall = paired_shortfall(ours, theirs)
+        assert (shortfall.percent, shortfall.low, shortfall.high) == pytest.approx((10.0, 0.0, 50.0))
+
+    def test_of_each_seed(self):
+        theirs = np.ones((2, 3, 4))
+        ours = theirs.copy()
+        ours[0] = 0.5
+        ours[1] = 1.25
+        shortfall = paired_shortfall(ours, theirs)
+        assert shortfall.of_seeds == pytest.approx([50.0, -25.0])
+        assert (shortfall.percent, shortfall.low, shortfall.high) == pytest.approx((12.5, -25.0, 50.0))
+
+    def test_the_draws_are_those_of_the_difference(self):
+        rng = np.random.default_rng(0)
+        ours, theirs = rng.uniform(0.5, 1.0, size=(5, 40, 3)), np.ones((5, 40, 3))
+        difference, shortfall = paired_difference(ours, theirs), paired_shortfall(ours, theirs)
+        assert shortfall[:3] == pytest.approx((-100 * difference.mean, -100 * difference.high, -100 * difference.low))
+
+    def test_nothing_to_take_percents_of(self):
+        assert paired_shortfall(np.ones((1, 2, 1)), np.zeros((1, 2, 1))) is None
+        sometimes = np.array([0.0, 1.0]).reshape(1, 2, 1)
+        assert paired_shortfall(np.ones((1, 2, 1)), sometimes) is None, "nothing in some resample"
+        one_seed = np.array([0.0, 1.0]).reshape(2, 1, 1).repeat(2, axis=1)
+        assert paired_shortfall(np.ones((2, 2, 1)), one_seed) is None, "nothing with one seed"

@@ -80,13 +80,48 @@ def paired_difference(ours: Scores, theirs: Scores, *, samples: int = 2000, seed
 
     The interval is of a bootstrap over tasks and over seeds: what other tasks and other priors might have shown.
     """
-    of_runs = (np.asarray(ours, float) - np.asarray(theirs, float)).mean(axis=2)
-    rng = np.random.default_rng(seed)
-    # How often each is drawn, as a share: a resample's mean is then a product with the table of differences.
-    seeds, tasks = (rng.multinomial(n, np.full(n, 1 / n), size=samples) / n for n in of_runs.shape)
-    resampled = np.einsum("bs,st,bt->b", seeds, of_runs, tasks)
+    of_runs = _mean_of_runs(ours) - _mean_of_runs(theirs)
+    (resampled,) = _resampled_means(of_runs, samples=samples, seed=seed)
     low, high = np.percentile(resampled, [2.5, 97.5])
     return Difference(float(of_runs.mean()), float(low), float(high))
+
+
+class Shortfall(NamedTuple):
+    """Percents by which one mean is below another, bounds of their 95 % bootstrap interval, and those of each seed."""
+
+    percent: float
+    low: float
+    high: float
+    of_seeds: list[float]
+
+
+def paired_shortfall(ours: Scores, theirs: Scores, *, samples: int = 2000, seed: int = 0) -> Shortfall | None:
+    """By how many percent of their mean ours is below it; both are resampled together, as in `paired_difference`.
+
+    None where there is nothing to take percents of: their mean is not positive in each resample and with each seed.
+    """
+    means = _mean_of_runs(ours), _mean_of_runs(theirs)
+    our_means, their_means = _resampled_means(*means, samples=samples, seed=seed)
+    our_seeds, their_seeds = (of_runs.mean(axis=1) for of_runs in means)
+    if min(their_means.min(), their_seeds.min()) <= 0:
+        return None
+    low, high = np.percentile(100 * (1 - our_means / their_means), [2.5, 97.5])
+    percent = 100 * (1 - means[0].mean() / means[1].mean())
+    return Shortfall(float(percent), float(low), float(high), (100 * (1 - our_seeds / their_seeds)).tolist())
+
+
+def _mean_of_runs(scores: Scores) -> Float[np.ndarray, "seeds tasks"]:
+    return np.asarray(scores, float).mean(axis=2)
+
+
+def _resampled_means(
+    *tables: Float[np.ndarray, "seeds tasks"], samples: int, seed: int
+) -> list[Float[np.ndarray, "samples"]]:
+    """The mean of each table over seeds and over tasks drawn with replacement, the same draws for all tables."""
+    rng = np.random.default_rng(seed)
+    # How often each is drawn, as a share: a resample's mean is then a product with the table.
+    seeds, tasks = (rng.multinomial(n, np.full(n, 1 / n), size=samples) / n for n in tables[0].shape)
+    return [np.einsum("bs,st,bt->b", seeds, table, tasks) for table in tables]
 
 
 def first_at_least(updates: np.ndarray, curve: Curve, threshold: float) -> int | None:

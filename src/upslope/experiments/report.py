@@ -73,6 +73,8 @@ def findings(result: FigureResult) -> list[str]:
         )
         if panel.notes.get("prior_less"):
             sentences.append(_about_differences(panel, "the prior", panel.notes["prior_less"]))
+        if panel.notes.get("percent_below_oracle"):
+            sentences.append(_about_the_oracle(panel, **panel.notes["percent_below_oracle"]))
         if panel.variants and panel.notes.get("algorithm2_less"):
             less = panel.notes["algorithm2_less"][str(panel.notes["stop"])]
             sentences.append(_about_differences(panel, "Algorithm 2", less))
@@ -87,6 +89,14 @@ def _about_differences(panel: Panel, whose: str, less: dict[str, dict[str, float
     return (
         f"{panel.title}: {whose}'s mean {panel.score.name} less that of each other arm, with 95 % intervals over tasks "
         f"and seeds: {'; '.join(said)}."
+    )
+
+
+def _about_the_oracle(panel: Panel, percent: float, low: float, high: float, of_seeds: list[float]) -> str:
+    each = ", ".join(f"{one:.1f}".replace("-", "−") for one in sorted(of_seeds))
+    return (
+        f"{panel.title}: with the prior the mean {panel.score.name} is {_with_interval(percent, low, high, digits=1)} "
+        f"percent below that with the oracle, over tasks and seeds; with the prior of each seed {each}."
     )
 
 

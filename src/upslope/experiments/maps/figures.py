@@ -17,12 +17,13 @@ from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps
 from upslope.experiments.maps.priors import families
 from upslope.experiments.maps.readings import Maps, quick_reading, stage
 from upslope.experiments.priors import Priors, describe_priors, meta_train_priors
-from upslope.experiments.results import SUCCESS, FigureResult, Panel, differences
+from upslope.experiments.results import SUCCESS, Arm, FigureResult, Panel, differences
 from upslope.experiments.shaping_panel import shaping_panel
 from upslope.measures import measure_all, truths
 from upslope.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games, multi_task_dqn
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
+from upslope.statistics import paired_shortfall
 from upslope.tasks import JaxTasks
 from upslope.types import Task
 
@@ -160,9 +161,7 @@ def grid_figure(
                 session=session,
                 score=SUCCESS,
             )
-            finished["right"] = replace(
-                finished["right"], notes={"prior_less": differences(finished["right"].arms, "prior")}
-            )
+            finished["right"] = replace(finished["right"], notes=_about_the_prior(finished["right"].arms))
             if session is not None and "left" in panels:
                 session.show(figure([]))
         if "left" in panels:
@@ -180,6 +179,15 @@ def grid_figure(
             finished = {"left": left, **finished}
         rows = _describe(unseen, tasks, priors, control, seed)
     return figure(rows)
+
+
+def _about_the_prior(arms: dict[str, Arm]) -> dict[str, Any]:
+    """How the arm shaped by the prior compares with each other one, and with V* in percent."""
+    below = paired_shortfall(arms["prior"].returns, arms["oracle"].returns)
+    return {
+        "prior_less": differences(arms, "prior"),
+        "percent_below_oracle": None if below is None else below._asdict(),
+    }
 
 
 def _describe(
