@@ -54,14 +54,14 @@ class RandomMaps(eqx.Module):
         if self.split == "all" or self.held_out == "goals":
             return self.draw(key)
 
-        def again(carry: tuple[Key, GridParams]) -> tuple[Key, GridParams]:
+        def again(carry: tuple[Key, GridParams, Bool[Array, ""]]) -> tuple[Key, GridParams, Bool[Array, ""]]:
             key, draw_key = jax.random.split(carry[0])
-            return key, self.draw(draw_key)
+            drawn = self.draw(draw_key)
+            return key, drawn, is_test_map(drawn) == (self.split == "test")
 
-        def is_elsewhere(carry: tuple[Key, GridParams]) -> Bool[Array, ""]:
-            return is_test_map(carry[1]) != (self.split == "test")
-
-        return jax.lax.while_loop(is_elsewhere, again, again((key, self.draw(key))))[1]
+        # The loop begins with no map, so that the program draws in one place, and compiles sooner.
+        nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(self.draw, key))
+        return jax.lax.while_loop(lambda carry: ~carry[2], again, (key, nothing, jnp.asarray(False)))[1]
 
     def draw(self, key: Key) -> GridParams:
         """One map; of the split's goals if goals are held out, of either split if maps are."""

@@ -111,12 +111,12 @@ def distinct_maps(family: JaxTasks, count: int, seed: int = 0) -> GridParams:
         if len(found.start) >= count:
             break
         drawn = _draw_many(family, jax.random.fold_in(key, attempt), at_once)
-        found = _unique(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), found, drawn))
+        found = _unique(jax.tree.map(lambda *leaves: np.concatenate(leaves), found, drawn))
     if len(found.start) < count:
         raise UpslopeError(
             f"Only {len(found.start)} distinct maps were found where {count} were asked for: ask for fewer maps."
         )
-    return jax.tree.map(lambda leaf: leaf[:count], found)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf[:count]), found)
 
 
 #: Draws of a good count each; where these find too few, there are hardly more.
@@ -132,7 +132,8 @@ def _draw_many(family: JaxTasks, key: Key, count: int) -> GridParams:
 
 
 def _unique(maps: GridParams) -> GridParams:
-    """The maps without repetitions, in the order of their first appearance."""
+    """The maps without repetitions, in the order of their first appearance; by NumPy, with nothing to compile."""
+    maps = jax.tree.map(np.asarray, maps)
     layers = np.packbits(np.concatenate([maps.obstacles, maps.traps], axis=1).reshape(len(maps.start), -1), axis=1)
     ends = np.stack([maps.start, maps.goal], axis=1).astype(np.int32)
     rows = np.concatenate([layers, ends.view(np.uint8)], axis=1)
