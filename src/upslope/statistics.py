@@ -80,7 +80,7 @@ def paired_difference(ours: Scores, theirs: Scores, *, samples: int = 2000, seed
 
     The interval is of a bootstrap over tasks and over seeds: what other tasks and other priors might have shown.
     """
-    of_runs = _mean_of_runs(ours) - _mean_of_runs(theirs)
+    of_runs = _mean_of_runs(np.asarray(ours, float) - np.asarray(theirs, float))
     (resampled,) = _resampled_means(of_runs, samples=samples, seed=seed)
     low, high = np.percentile(resampled, [2.5, 97.5])
     return Difference(float(of_runs.mean()), float(low), float(high))
