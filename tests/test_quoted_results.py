@@ -74,6 +74,15 @@ def test_grid_learners_table() -> None:
         assert value == (list(here) if isinstance(here, tuple) else here), "the best of them is what is set"
 
 
+def test_step_ratio_table() -> None:
+    variants = json.loads((ROOT / "docs" / "data" / "step-ratio" / "results.json").read_text())["variants"]
+    for (family, row), digits in zip(variants.items(), (0, 2), strict=True):
+        for ratio, arm in row["arms"].items():
+            mean, last = (f"{number:.{digits}f}" for number in (arm["mean_over_evaluations"], arm["iqm"][-1]))
+            of_runs = "{} ({} to {})".format(*(f"{number:.{digits}f}" for number in arm["iqm_of_means"]))
+            assert f"| {family}, {ratio} | {arm['step_size']:g} | {mean} | {of_runs} | {last} |" in DEVIATIONS
+
+
 def test_the_readme_quotes_figure_4() -> None:
     found = json.loads((ROOT / "docs" / "data" / "fig4" / "results.json").read_text())
     text = " ".join(README.split())
