@@ -10,6 +10,7 @@ from upslope.envs.grid import GridGame, read_map
 from upslope.envs.grid_rules import RIGHT
 from upslope.measures import truth, truths
 from upslope.planning import (
+    TabularMDP,
     best_actions,
     can_earn,
     evaluate_policy,
@@ -101,6 +102,25 @@ def test_sums_that_cancel_come_to_an_end():
     np.testing.assert_allclose(shaped.value, 0, atol=1e-5)
     best = best_actions(shaped.action_value, relative=0.0, absolute=1e-5)
     np.testing.assert_array_equal(best, best_actions(found.action_value, relative=0.0, absolute=1e-5))
+
+
+def test_values_that_shrink_for_good_end_at_the_limit():
+    """Staying earns nothing for ever; leaving earns 1 at once and loses 0.2 in every step from then on.
+
+    With n steps to go, staying until the last and then leaving is worth γ^(n − 1), in the limit nothing.
+    """
+    mdp = TabularMDP(
+        successors=jnp.array([[[0], [1]], [[1], [1]]]),
+        probabilities=jnp.ones((2, 2, 1)),
+        rewards=jnp.array([[[0.0], [1.0]], [[-0.2], [-0.2]]]),
+        discounts=jnp.full((2, 2, 1), 0.9),
+        acting=jnp.ones(2, bool),
+    )
+    found = value_iteration(mdp, max_iterations=500)
+    assert int(found.iterations) == 500
+    np.testing.assert_allclose(found.value, [0.9**499, -2], rtol=1e-4)
+    np.testing.assert_array_equal(best_actions(found.action_value)[0], [True, False])
+    assert int(value_iteration(mdp).iterations) < 1000, "single precision knows no smaller values"
 
 
 def test_where_one_can_earn():
