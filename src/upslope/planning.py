@@ -81,6 +81,7 @@ def value_iteration(mdp: TabularMDP, *, tolerance: float = ROUNDING, max_iterati
         mdp: one task.
         tolerance: stops where no value changed by more than this share of the numbers that it is the sum of. Values
             still spread as long as one changes from zero. Deterministic tasks with one reward stop changing altogether.
+            Where staying is best and worth nothing, values can shrink by γ each time and never settle: set a limit.
         max_iterations: stops there in any case; the residual tells. `PATIENCE`, or one for each state, if None.
     """
 

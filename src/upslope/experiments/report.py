@@ -60,8 +60,11 @@ def panel_rows(panel: Panel) -> list[tuple[str, ...]]:
 
 
 def _with_interval(middle: float, low: float, high: float, *, digits: int) -> str:
-    said = (f"{value:.{digits}f}".replace("-", "−") for value in (middle, low, high))
-    return "{} ({} to {})".format(*said)
+    return "{} ({} to {})".format(*(_number(value, digits) for value in (middle, low, high)))
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}".replace("-", "−")
 
 
 def findings(result: FigureResult) -> list[str]:
@@ -93,7 +96,7 @@ def _about_differences(panel: Panel, whose: str, less: dict[str, dict[str, float
 
 
 def _about_the_oracle(panel: Panel, percent: float, low: float, high: float, of_seeds: list[float]) -> str:
-    each = ", ".join(f"{one:.1f}".replace("-", "−") for one in sorted(of_seeds))
+    each = ", ".join(_number(one, 1) for one in sorted(of_seeds))
     return (
         f"{panel.title}: with the prior the mean {panel.score.name} is {_with_interval(percent, low, high, digits=1)} "
         f"percent below that with the oracle, over tasks and seeds; with the prior of each seed {each}."
