@@ -13,7 +13,7 @@ import jax
 import tyro
 
 from benchmarks import harness
-from upslope.agents.dqn import DQN, DQNConfig
+from upslope.learners.dqn import DQN, DQNConfig
 from upslope.run.checkpoints import Checkpoints, Stage
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import run

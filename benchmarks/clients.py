@@ -24,7 +24,7 @@ from stable_baselines3.common.noise import NormalActionNoise
 
 import upslope
 from benchmarks.clients_report import ARMS, Run, write_report
-from upslope.pretrained import prior_path
+from upslope.priors.pretrained import prior_path
 from upslope.run.machine import hardware, versions
 
 FOLDER = Path(__file__).parents[1] / "docs" / "data" / "clients"

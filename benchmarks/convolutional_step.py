@@ -8,11 +8,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from upslope.convolution import ON_GPUS, Precision
-from upslope.convolution_forms import FORMS
-from upslope.meta_training import MetaTraining
-from upslope.networks import DuelingQ
-from upslope.recipes import MetaTrainingConfig
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.networks.convolution import ON_GPUS, Precision
+from upslope.networks.convolution_forms import FORMS
+from upslope.networks.dueling import DuelingQ
 from upslope.tasks import clean_maps
 from upslope.types import Transition
 

@@ -19,12 +19,12 @@ import tyro
 from benchmarks import harness
 from benchmarks.going import Going
 from benchmarks.harness import Bar, Part, Row
-from upslope.agents.dqn import DQN, DQNConfig
-from upslope.meta_training import MetaTraining
-from upslope.recipes import MetaTrainingConfig
+from upslope.learners.dqn import DQN, DQNConfig
+from upslope.learners.sharing import most_devices
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.recipes import MetaTrainingConfig
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
-from upslope.sharing import most_devices
 from upslope.tasks import cartpoles
 
 ROOT = Path(__file__).parents[1]

@@ -22,10 +22,10 @@ from jax.sharding import NamedSharding, PartitionSpec
 from benchmarks import harness
 from benchmarks.harness import Bar, Part, Row, number
 from benchmarks.host_environments import STEP_SIZE, hosted, on_host
-from upslope.agents.dqn import dqn_loss
 from upslope.compiler_options import QUICK_TO_RUN
-from upslope.maml import descend
-from upslope.networks import QNetwork
+from upslope.equations.maml import descend
+from upslope.learners.dqn import dqn_loss
+from upslope.networks.dueling import QNetwork
 from upslope.run.compiling import set_up_devices
 from upslope.run.randomness import unrolled
 from upslope.tasks import cartpoles, obstacle_maps

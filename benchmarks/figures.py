@@ -56,7 +56,7 @@ def reproduced(figure: str) -> list[float]:
         environment = os.environ | {"UPSLOPE_CACHE": str(Path(text) / "cache")}
         for state in STATES:
             out = str(Path(text) / state)
-            command = [sys.executable, "-m", "upslope.cli", "reproduce", figure, "--quick", "--out", out]
+            command = [sys.executable, "-m", "upslope.cli.main", "reproduce", figure, "--quick", "--out", out]
             taken.append(
                 harness.seconds_of(
                     partial(subprocess.run, command, cwd=ROOT, env=environment, check=True, capture_output=True)

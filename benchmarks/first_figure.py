@@ -20,13 +20,13 @@ import tyro
 
 from benchmarks import harness
 from benchmarks.harness import Bar, Part, Row, number
-from upslope.agents.dqn import DQN, DQNConfig
-from upslope.meta_training import MetaTraining
-from upslope.potentials import mean_potential, stack
-from upslope.recipes import MetaTrainingConfig
+from upslope.equations.shaping import potential_based
+from upslope.learners.dqn import DQN, DQNConfig
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.priors.potentials import mean_potential, stack
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast, run
-from upslope.shaping import potential_based
 from upslope.tasks import cartpoles
 
 ROOT = Path(__file__).parents[1]
@@ -86,7 +86,7 @@ def quick_figure() -> dict[str, Row]:
         folder = Path(text)
         for state in ("empty", "filled"):
             out = folder / state
-            command = [sys.executable, "-m", "upslope.cli", "reproduce", "fig1", "--quick", "--out", str(out)]
+            command = [sys.executable, "-m", "upslope.cli.main", "reproduce", "fig1", "--quick", "--out", str(out)]
             rows[f"{QUICK} ({state} cache)"] = watched(command, out, folder / "cache", ROOT)
     return rows
 

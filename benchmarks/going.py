@@ -5,8 +5,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from upslope.learner import AbstractLearner
-from upslope.run import chunks
+from upslope.learners.learner import AbstractLearner
+from upslope.run.engines import compiled as chunks
 from upslope.run.layout import laid_out
 from upslope.types import Keys
 

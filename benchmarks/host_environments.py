@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.agents.dqn import dqn_loss
-from upslope.maml import descend
-from upslope.networks import QNetwork
+from upslope.equations.maml import descend
+from upslope.learners.dqn import dqn_loss
+from upslope.networks.dueling import QNetwork
 from upslope.types import Transition
 
 STEP_SIZE = 1e-3

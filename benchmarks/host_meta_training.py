@@ -14,7 +14,7 @@ import tyro
 from benchmarks import harness
 from benchmarks.harness import Bar
 from upslope import GymnasiumTasks, MetaTrainingConfig
-from upslope.meta_training import MetaTraining
+from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.run.loop import broadcast, run
 
 #: Gymnasium's own CartPole, and ours with the same physics, whose step costs a third of it.

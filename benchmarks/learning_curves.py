@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.going import Going
 from benchmarks.harness import Bar
 from benchmarks.peers.numpy_cartpoles import greedy_returns, numpy_advantages, weights_of
-from upslope.meta_training import MetaTraining
-from upslope.recipes import MetaTrainingConfig
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.recipes import MetaTrainingConfig
 from upslope.run.loop import broadcast
 from upslope.tasks import cartpoles
 

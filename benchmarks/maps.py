@@ -14,9 +14,9 @@ import tyro
 from benchmarks import harness
 from benchmarks.going import Going
 from benchmarks.harness import Bar, Part
-from upslope.agents.dqn import DQN, for_maps
-from upslope.measures import truths
-from upslope.planning import solve_all
+from upslope.learners.dqn import DQN, for_maps
+from upslope.planning.exact import solve_all
+from upslope.planning.measures import truths
 from upslope.run.compiling import set_up_devices
 from upslope.tasks import JaxTasks, clean_maps, grid_games, obstacle_maps
 from upslope.types import Keys
@@ -104,7 +104,7 @@ def planning(family: JaxTasks, count: int) -> Callable[[], Any]:
 
 
 def knowing(family: JaxTasks, count: int) -> Callable[[], Any]:
-    """All that `upslope.measures` needs to know of so many maps, once."""
+    """All that `upslope.planning.measures` needs to know of so many maps, once."""
     maps = many(family, count)
     return lambda: truths(family.env, maps, family.gamma)
 

@@ -28,12 +28,12 @@ from benchmarks.convolutional_step import (
 )
 from benchmarks.harness import Bar, Part, Row
 from upslope.compiler_options import ONE_THREAD
-from upslope.convolution import Precision, fastest_form
-from upslope.convolution_forms import FORMS
-from upslope.meta_training import TaskSamples
-from upslope.networks import DuelingQ
+from upslope.learners.sharing import mean_of_all, own_tasks
+from upslope.meta_training.algorithm1 import TaskSamples
+from upslope.networks.convolution import Precision, fastest_form
+from upslope.networks.convolution_forms import FORMS
+from upslope.networks.dueling import DuelingQ
 from upslope.run.compiling import set_up_devices
-from upslope.sharing import mean_of_all, own_tasks
 
 #: The forms of the convolution worth timing in every run; ``--forms`` names others.
 IN_THE_RUN = ("patches", "rows", "shifts", "winograd")

@@ -11,13 +11,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from upslope.agents.adaptation import Adaptation, AdaptationState
-from upslope.agents.ddpg import DDPG, DDPGState, critic_loss
-from upslope.agents.dqn import DQN, DQNState, dqn_loss
-from upslope.agents.experience import Experience
-from upslope.learner import AbstractLearner
-from upslope.meta_training import MetaTraining, MetaTrainingState
-from upslope.shaping import shape
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationState
+from upslope.equations.shaping import shape
+from upslope.learners.ddpg import DDPG, DDPGState, critic_loss
+from upslope.learners.dqn import DQN, DQNState, dqn_loss
+from upslope.learners.experience import Experience
+from upslope.learners.learner import AbstractLearner
+from upslope.meta_training.algorithm1 import MetaTraining, MetaTrainingState
 from upslope.types import Scalar, Transition
 
 Phase = Callable[[Any, Any], tuple[Any, Scalar]]

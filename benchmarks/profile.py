@@ -16,18 +16,18 @@ import tyro
 from benchmarks import harness
 from benchmarks.harness import Part, Row
 from benchmarks.phases import ADAPTATION_PHASES, DDPG_PHASES, DQN_PHASES, META_TRAINING, Phase
-from upslope.agents.adaptation import Adaptation, AdaptationConfig
-from upslope.agents.ddpg import DDPG
-from upslope.agents.dqn import DQN
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig
 from upslope.compiler_options import QUICK_TO_COMPILE, QUICK_TO_RUN
-from upslope.learner import AbstractLearner, in_turn
-from upslope.meta_training import MetaTraining
-from upslope.potentials import mean_potential, stack
-from upslope.recipes import for_grid_games
+from upslope.equations.shaping import Shaping, potential_based
+from upslope.learners.ddpg import DDPG
+from upslope.learners.dqn import DQN
+from upslope.learners.learner import AbstractLearner, in_turn
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.recipes import for_grid_games
+from upslope.priors.potentials import mean_potential, stack
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
 from upslope.run.randomness import unrolled
-from upslope.shaping import Shaping, potential_based
 from upslope.tasks import cartpoles, obstacle_maps
 from upslope.types import Keys
 

@@ -20,11 +20,11 @@ import upslope
 from benchmarks import harness
 from benchmarks.going import Going
 from benchmarks.harness import Bar, Part, Row
-from upslope.agents.dqn import DQN, DQNConfig
-from upslope.prior import Prior
+from upslope.equations.shaping import potential_based
+from upslope.learners.dqn import DQN, DQNConfig
+from upslope.priors.prior import Prior
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
-from upslope.shaping import potential_based
 from upslope.tasks import cartpoles
 
 #: The pole of the middle of the family, for all.

@@ -14,8 +14,8 @@ import tyro
 import upslope
 from benchmarks import harness
 from benchmarks.harness import Bar, Part
-from upslope.meta_training import MetaTraining
-from upslope.prior import trained_on
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.priors.prior import trained_on
 
 PLAIN, SHAPED = "bare CartPole-v1", "PotentialShaping, a prior (numpy)"
 

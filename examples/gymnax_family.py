@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 import upslope
-from upslope.agents.dqn import DQNConfig
+from upslope.learners.dqn import DQNConfig
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ def main() -> None:
     """Feeds what the fuzzer thinks up to `Prior.load` and `storage.read`; any error but the typed one ends it."""
     import atheris
 
-    with atheris.instrument_imports(include=["upslope.storage", "upslope.prior"]):
+    with atheris.instrument_imports(include=["upslope.storage", "upslope.priors.prior"]):
         from reliability.mutations import originals
         from upslope import storage
         from upslope.errors import UpslopeError
-        from upslope.prior import Prior
+        from upslope.priors.prior import Prior
         from upslope.run.checkpoints import FORMAT_VERSION, KIND
     seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 600
     folder = Path(tempfile.mkdtemp())

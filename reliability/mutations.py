@@ -15,9 +15,9 @@ import numpy as np
 from reliability.processes import require
 from upslope import storage
 from upslope.errors import UpslopeError
-from upslope.learner import AbstractLearner
-from upslope.networks import DuelingQ
-from upslope.prior import Prior, trained_on
+from upslope.learners.learner import AbstractLearner
+from upslope.networks.dueling import DuelingQ
+from upslope.priors.prior import Prior, trained_on
 from upslope.run.checkpoints import Checkpoints
 from upslope.run.loop import broadcast, run
 from upslope.run.session import Session

@@ -51,7 +51,7 @@ def amid_a_figure(folder: Path, times: int, seed: int) -> dict[str, Any]:
 
     def figure(name: str, after: float | None, cache: Path | None = None) -> Ending:
         again = ["--resume"] if (folder / name / "run.json").is_file() else []
-        command = ("upslope.cli", "reproduce", "fig1", "--quick", "--out", str(folder / name), *again)
+        command = ("upslope.cli.main", "reproduce", "fig1", "--quick", "--out", str(folder / name), *again)
         return module(*command, signal_after=(signal.SIGTERM, after), cache=cache)
 
     longest, stopped = 0.0, 0

@@ -24,12 +24,12 @@ from upslope import storage
 from upslope.api import adapt, meta_train, train
 from upslope.envs.cartpole import CartPole
 from upslope.errors import InterruptedRunError
-from upslope.networks import DuelingQ
-from upslope.prior import Prior, trained_on
-from upslope.recipes import MetaTrainingConfig
-from upslope.run import chunks
+from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.networks.dueling import DuelingQ
+from upslope.priors.prior import Prior, trained_on
 from upslope.run.checkpoints import FORMAT_VERSION, KIND, Checkpoints
 from upslope.run.compiling import set_up_devices
+from upslope.run.engines import compiled as chunks
 from upslope.run.folder import claimed
 from upslope.run.observers import EventLog
 from upslope.run.session import Session

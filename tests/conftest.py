@@ -35,8 +35,8 @@ def pytest_unconfigure(config):
 @pytest.fixture(scope="session")
 def prior():
     """A prior for CartPoles, untrained but of the usual size; γ is 0.98."""
-    from upslope.networks import DuelingQ
-    from upslope.prior import Prior, trained_on
+    from upslope.networks.dueling import DuelingQ
+    from upslope.priors.prior import Prior, trained_on
     from upslope.tasks import cartpoles
 
     network = DuelingQ(jax.random.key(7), 4, 2, (32, 32), cartpoles().observation_scale, "tanh")

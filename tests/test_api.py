@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from upslope import Prior, UpslopeError, cartpoles, train
-from upslope.agents.ddpg import DDPGConfig
-from upslope.agents.dqn import DQNConfig
 from upslope.api import agent, check_potential
-from upslope.networks import DuelingQ
-from upslope.prior import trained_on
+from upslope.learners.ddpg import DDPGConfig
+from upslope.learners.dqn import DQNConfig
+from upslope.networks.dueling import DuelingQ
+from upslope.priors.prior import trained_on
 
 POLES = cartpoles()
 TASK = POLES.sample(jax.random.key(0))

@@ -1,6 +1,6 @@
 """DQN in one loop, in CleanRL's manner: PyTorch, Gymnasium, numpy arrays as the replay.
 
-The settings are those of `upslope.agents.dqn`.
+The settings are those of `upslope.learners.dqn`.
 """
 
 import copy
@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from benchmarks.peers.torch_networks import QMLP
-from upslope.agents.dqn import DQNConfig
+from upslope.learners.dqn import DQNConfig
 
 
 class CleanDQN:

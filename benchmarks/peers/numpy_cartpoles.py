@@ -7,7 +7,7 @@ import numpy as np
 
 from upslope.envs.cartpole import CartPole, CartPoleParams
 from upslope.envs.cartpole_physics import euler_equations
-from upslope.networks import DuelingQ
+from upslope.networks.dueling import DuelingQ
 
 MAX_STEPS = 200
 SCALE = np.asarray(CartPole.observation_scale, np.float32)

@@ -1,6 +1,6 @@
 """Algorithm 1 in PyTorch and Gymnasium as one writes it down: a loop over tasks, one environment step at a time.
 
-The recipe is upslope's default one (`upslope.recipes.MetaTrainingConfig`), so that both learn the same.
+The recipe is upslope's default one (`upslope.meta_training.recipes.MetaTrainingConfig`), so that both learn the same.
 """
 
 import copy
@@ -13,7 +13,7 @@ from torch.func import functional_call
 
 import upslope  # noqa: F401 (registers the environment)
 from benchmarks.peers.torch_networks import DuelingMLP
-from upslope.recipes import MetaTrainingConfig
+from upslope.meta_training.recipes import MetaTrainingConfig
 
 
 class Batch(NamedTuple):

@@ -8,7 +8,7 @@ import torch
 from torch.func import functional_call, grad, vmap
 from torch.nn import functional
 
-from upslope.networks import DuelingQ as OursDuelingQ
+from upslope.networks.dueling import DuelingQ as OursDuelingQ
 from upslope.types import Transition
 
 Gradient = dict[str, torch.Tensor]

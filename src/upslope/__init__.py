@@ -7,24 +7,25 @@ from upslope.envs.registration import register_environments
 
 if TYPE_CHECKING:
     from upslope.api import adapt, meta_train, train
+    from upslope.checking import check_shaping
     from upslope.errors import UpslopeError
-    from upslope.numpy_potential import NumpyPotential
-    from upslope.pretrained import load_prior, prior_path
-    from upslope.prior import Prior
-    from upslope.recipes import MetaTrainingConfig
+    from upslope.meta_training.recipes import MetaTrainingConfig
+    from upslope.priors.numpy_potential import NumpyPotential
+    from upslope.priors.pretrained import load_prior, prior_path
+    from upslope.priors.prior import Prior
     from upslope.run.checkpoints import Checkpoints
     from upslope.run.session import Session
     from upslope.tasks import GymnasiumTasks, cartpoles, clean_maps, grid_games, gymnax_tasks, obstacle_maps
-    from upslope.wrappers import PotentialShaping, check_shaping
+    from upslope.wrappers import PotentialShaping
 
 # Imported when first asked for: a simulator process that only shapes rewards never imports JAX.
 _HOMES = {
     "GymnasiumTasks": "upslope.tasks",
     "Checkpoints": "upslope.run.checkpoints",
-    "MetaTrainingConfig": "upslope.recipes",
-    "NumpyPotential": "upslope.numpy_potential",
+    "MetaTrainingConfig": "upslope.meta_training.recipes",
+    "NumpyPotential": "upslope.priors.numpy_potential",
     "PotentialShaping": "upslope.wrappers",
-    "Prior": "upslope.prior",
+    "Prior": "upslope.priors.prior",
     "Session": "upslope.run.session",
     "UpslopeError": "upslope.errors",
     "adapt": "upslope.api",
@@ -33,10 +34,10 @@ _HOMES = {
     "grid_games": "upslope.tasks",
     "gymnax_tasks": "upslope.tasks",
     "obstacle_maps": "upslope.tasks",
-    "check_shaping": "upslope.wrappers",
-    "load_prior": "upslope.pretrained",
+    "check_shaping": "upslope.checking",
+    "load_prior": "upslope.priors.pretrained",
     "meta_train": "upslope.api",
-    "prior_path": "upslope.pretrained",
+    "prior_path": "upslope.priors.pretrained",
     "train": "upslope.api",
 }
 

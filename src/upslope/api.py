@@ -8,18 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.agents import adaptation, dqn
-from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
-from upslope.agents.ddpg import DDPG, DDPGConfig
-from upslope.agents.dqn import DQN, DQNConfig
+from upslope.adaptation import algorithm2 as adaptation
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
+from upslope.equations.shaping import Shaping, potential_based
 from upslope.errors import UpslopeError
-from upslope.meta_training import MetaTraining
-from upslope.prior import Prior, trained_on
-from upslope.recipes import MetaTrainingConfig, suited_to
+from upslope.learners import dqn
+from upslope.learners.ddpg import DDPG, DDPGConfig
+from upslope.learners.dqn import DQN, DQNConfig
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.recipes import MetaTrainingConfig, suited_to
+from upslope.priors.prior import Prior, trained_on
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session
-from upslope.shaping import Shaping, potential_based
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Observation, Potential, Task
 

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from upslope.networks import DuelingQ
+from upslope.networks.dueling import DuelingQ
 from upslope.types import Transition
 
 OBSERVATIONS = 3

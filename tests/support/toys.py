@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from upslope.learner import AbstractLearner
+from upslope.learners.learner import AbstractLearner
 from upslope.types import Key
 
 

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from upslope.agents.adaptation import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
-from upslope.agents.adaptation_controls import CentredTD, FrozenPotential, OneOf
-from upslope.agents.fine_tuning import FineTuning
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
+from upslope.adaptation.controls import CentredTD, FrozenPotential, OneOf
+from upslope.adaptation.fine_tuning import FineTuning
 from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_per_task
 from upslope.experiments.priors import Priors
 from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of, differences
-from upslope.networks import DuelingQ
+from upslope.networks.dueling import DuelingQ
 from upslope.run.loop import run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session

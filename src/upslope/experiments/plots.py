@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from upslope.experiments.experiment import PANELS
 from upslope.experiments.results import Arm, FigureResult, Panel, Score
-from upslope.statistics import quartiles
+from upslope.experiments.statistics import quartiles
 from upslope.storage import write_atomically
 
 #: What each arm is called and drawn with; dashed arms are references, dotted ones are not policy-invariant.

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.experiments.keys import Purpose, key_for, keys_for
-from upslope.meta_training import MetaTraining
-from upslope.networks import DuelingQ
-from upslope.policies import EpsilonGreedy, Greedy
-from upslope.recipes import MetaTrainingConfig
+from upslope.learners.policies import EpsilonGreedy, Greedy
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.networks.dueling import DuelingQ
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session

@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from upslope.experiments.statistics import bootstrap, first_at_least, paired_difference, quartiles
 from upslope.run.compiling import CompileClock
 from upslope.run.machine import hardware, versions
-from upslope.statistics import bootstrap, first_at_least, paired_difference, quartiles
 from upslope.storage import write_atomically
 
 

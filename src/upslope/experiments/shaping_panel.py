@@ -6,15 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.agents.ddpg import DDPG, DDPGConfig
-from upslope.agents.dqn import DQN, DQNConfig
+from upslope.equations.shaping import Shaping
 from upslope.experiments.keys import Purpose, keys_per_task
 from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of
-from upslope.networks import DuelingQ
-from upslope.potentials import MeanPotential
+from upslope.learners.ddpg import DDPG, DDPGConfig
+from upslope.learners.dqn import DQN, DQNConfig
+from upslope.networks.dueling import DuelingQ
+from upslope.priors.potentials import MeanPotential
 from upslope.run.loop import run
 from upslope.run.session import Session
-from upslope.shaping import Shaping
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Task
 

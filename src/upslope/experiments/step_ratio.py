@@ -3,14 +3,14 @@
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple
 
-from upslope.agents.adaptation import AdaptationConfig, AdvantageHead, UpdateRule
+from upslope.adaptation.algorithm2 import AdaptationConfig, AdvantageHead, UpdateRule
 from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.maps.figures import full_grid_figure
 from upslope.experiments.maps.priors import families
 from upslope.experiments.priors import meta_train_priors
 from upslope.experiments.results import EPISODE_LENGTH, SUCCESS, Panel, Score, circumstances
-from upslope.recipes import MetaTrainingConfig, for_grid_games
+from upslope.meta_training.recipes import MetaTrainingConfig, for_grid_games
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, cartpoles, grid_games

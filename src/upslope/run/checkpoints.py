@@ -15,7 +15,7 @@ import numpy as np
 
 from upslope import storage
 from upslope.errors import DamagedFileError, NotSavedError, UpslopeError
-from upslope.learner import AbstractLearner
+from upslope.learners.learner import AbstractLearner
 from upslope.run.folder import differences
 from upslope.run.position import Position, from_arrays, on_host, to_arrays
 from upslope.types import Keys

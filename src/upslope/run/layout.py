@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.learner import AbstractLearner, AbstractTaskLearner
-from upslope.run import chunks, host_chunks
+from upslope.learners.learner import AbstractLearner, AbstractTaskLearner
+from upslope.run.engines import compiled as chunks
+from upslope.run.engines import host as host_chunks
 from upslope.run.randomness import unrolled
 from upslope.types import Keys
 

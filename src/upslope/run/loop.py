@@ -12,11 +12,11 @@ import jax
 import numpy as np
 
 from upslope.errors import NotSavedError, UpslopeError
-from upslope.learner import AbstractLearner
-from upslope.run import host_chunks
+from upslope.learners.learner import AbstractLearner
 from upslope.run.ahead import Ahead, shapes_of
 from upslope.run.checkpoints import Stage, describe
 from upslope.run.compiling import CompileClock, compile_clock
+from upslope.run.engines import host as host_chunks
 from upslope.run.health import check_finite
 from upslope.run.layout import laid_out, padded
 from upslope.run.outcome import Outcome

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from upslope.envs.task_slot import made
 from upslope.errors import UpslopeError
+from upslope.rollouts.host_environments import Episodes, HostEnvironments, Mode
+from upslope.rollouts.task_slot import made
 from upslope.tasks.abstract_evaluation import evaluated_abstractly
 from upslope.tasks.family import AbstractFamily
 from upslope.tasks.host_acting import acting, reset_and_act, seed_of
-from upslope.tasks.host_environments import Episodes, HostEnvironments, Mode
 from upslope.tasks.observation_scale import scale_of
 from upslope.tasks.task_protocol import of_protocol
 from upslope.types import Acting, Key, Policy, Task, Transition

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from upslope.errors import UpslopeError
-from upslope.numpy_potential import NumpyPotential
+from upslope.priors.numpy_potential import NumpyPotential
 from upslope.wrappers.observations import check_shape, join, pick, split
 
 

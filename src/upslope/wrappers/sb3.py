@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from upslope.envs.workers import call_or_end, close_or_end
 from upslope.errors import UpslopeError
+from upslope.rollouts.workers import call_or_end, close_or_end
 from upslope.wrappers.evaluation import Evaluator
 from upslope.wrappers.levels import Levels
 from upslope.wrappers.terms import Count, Number, Terms

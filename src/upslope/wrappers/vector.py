@@ -8,8 +8,8 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode
 from jaxtyping import Bool, Float
 
-from upslope.envs.workers import call_or_end, close_or_end
 from upslope.errors import UpslopeError
+from upslope.rollouts.workers import call_or_end, close_or_end
 from upslope.wrappers.evaluation import Evaluator, recordable
 from upslope.wrappers.levels import Levels
 from upslope.wrappers.terms import Count, Number, Terms

@@ -5,10 +5,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from upslope.measures import truths
-from upslope.networks import DuelingQ
-from upslope.shaping import Shaping
-from upslope.tasks.grid_potentials import CellPotential, manhattan_potential, optimal_potential
+from upslope.equations.shaping import Shaping
+from upslope.networks.dueling import DuelingQ
+from upslope.planning.grid_potentials import CellPotential, manhattan_potential, optimal_potential
+from upslope.planning.measures import truths
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Task
 

@@ -7,9 +7,8 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
-from upslope.agents import adaptation, dqn
-from upslope.agents.adaptation import AdaptationConfig
-from upslope.agents.dqn import DQNConfig
+from upslope.adaptation import algorithm2 as adaptation
+from upslope.adaptation.algorithm2 import AdaptationConfig
 from upslope.errors import UpslopeError
 from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
 from upslope.experiments.keys import Purpose, key_for
@@ -19,11 +18,13 @@ from upslope.experiments.maps.readings import Maps, quick_reading, stage
 from upslope.experiments.priors import Priors, describe_priors, meta_train_priors
 from upslope.experiments.results import SUCCESS, Arm, FigureResult, Panel, differences
 from upslope.experiments.shaping_panel import shaping_panel
-from upslope.measures import measure_all, truths
-from upslope.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.experiments.statistics import paired_shortfall
+from upslope.learners import dqn
+from upslope.learners.dqn import DQNConfig
+from upslope.meta_training.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.planning.measures import measure_all, truths
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
-from upslope.statistics import paired_shortfall
 from upslope.tasks import JaxTasks
 from upslope.types import Task
 

@@ -5,15 +5,15 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from upslope.agents.dqn import DQNConfig, for_maps
+from upslope.equations.shaping import Shaping
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.results import SUCCESS, circumstances
 from upslope.experiments.shaping_panel import shaping_panel
+from upslope.learners.dqn import DQNConfig, for_maps
+from upslope.planning.grid_potentials import CellPotential, manhattan_potential, optimal_potential
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
-from upslope.shaping import Shaping
 from upslope.tasks import grid_games
-from upslope.tasks.grid_potentials import CellPotential, manhattan_potential, optimal_potential
 
 #: No learned potential is among them, so that none is favoured.
 ARMS = ("unshaped", "manhattan", "oracle")

@@ -8,8 +8,8 @@ from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.maps.plots import draw_one, draw_sheet, learned_maps, spread_by_rank
 from upslope.experiments.maps.priors import families
 from upslope.experiments.maps.readings import GridPriorsConfig
-from upslope.measures import truths
-from upslope.prior import Prior
+from upslope.planning.measures import truths
+from upslope.priors.prior import Prior
 
 ON_THE_SHEET = 24
 

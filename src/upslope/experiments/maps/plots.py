@@ -15,7 +15,7 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 
 from upslope.envs.grid import GridGame, GridParams
-from upslope.measures import Measures, Truth, measure_all, tables
+from upslope.planning.measures import Measures, Truth, measure_all, tables
 
 #: The paper's colours: the start is red, the goal green.
 START_COLOUR, GOAL_COLOUR, WALL_COLOUR, TRAP_COLOUR = "#d73027", "#1a9850", "#404040", "#762a83"
@@ -46,7 +46,7 @@ class LearnedMap(NamedTuple):
 
 
 def learned_maps(env: GridGame, known: Truth, maps: GridParams, network: Any, steps: int) -> list[LearnedMap]:
-    """What a network says of each of ``n`` stacked maps ``[n, ...]``, and what is true (`upslope.measures:truths`)."""
+    """What a network says of each of ``n`` stacked maps ``[n, ...]``, and what is true."""
     value, q = jax.device_get(_tables_of_all(env, maps, network))
     measures = jax.device_get(measure_all(env, known, maps, network, steps))
     maps, known = jax.device_get((maps, known))

@@ -16,7 +16,7 @@ from upslope.experiments.maps.prior_report import COLUMNS, prior_rows, write_pri
 from upslope.experiments.maps.priors import run_grid_priors
 from upslope.experiments.maps.readings import AIMS, GridPriorsConfig, quick_grid_priors
 from upslope.experiments.results import write_json
-from upslope.prior import Prior
+from upslope.priors.prior import Prior
 from upslope.run.session import Session
 
 

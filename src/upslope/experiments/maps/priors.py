@@ -10,23 +10,23 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.api import best_prior
+from upslope.equations.losses import dueling_q
 from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_for
 from upslope.experiments.maps.readings import GridPriorsConfig, Maps, stage
 from upslope.experiments.results import circumstances
-from upslope.losses import dueling_q
-from upslope.measures import Measures, Truth, dead_units, feature_norm, measure, summarise, truths
-from upslope.meta_training import MetaTraining
-from upslope.networks import DuelingQ
-from upslope.planning import lookahead, steps_to_reward
-from upslope.prior import Prior
-from upslope.recipes import MetaTrainingConfig
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.networks.dueling import DuelingQ
+from upslope.planning.exact import lookahead, steps_to_reward
+from upslope.planning.grid_potentials import manhattan_distance
+from upslope.planning.measures import Measures, Truth, dead_units, feature_norm, measure, summarise, truths
+from upslope.priors.prior import Prior
 from upslope.run.compiling import compile_clock
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, clean_maps, obstacle_maps
-from upslope.tasks.grid_potentials import manhattan_distance
 from upslope.types import Task
 
 #: Which measures of single maps results.json tells.

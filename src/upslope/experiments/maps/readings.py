@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
-from upslope.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.meta_training.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games, multi_task_dqn
 
 Maps = Literal["obstacles", "clean"]
 

@@ -11,9 +11,9 @@ import numpy as np
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import Priors, meta_train_priors, zero_shot_returns
 from upslope.experiments.results import circumstances
-from upslope.networks import DuelingQ
-from upslope.policies import EpsilonGreedy
-from upslope.recipes import MetaTrainingConfig, as_printed
+from upslope.learners.policies import EpsilonGreedy
+from upslope.meta_training.recipes import MetaTrainingConfig, as_printed
+from upslope.networks.dueling import DuelingQ
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, cartpoles

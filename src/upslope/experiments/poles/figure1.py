@@ -5,9 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
-from upslope.agents.adaptation import AdaptationConfig
-from upslope.agents.ddpg import DDPGConfig
-from upslope.agents.dqn import DQNConfig
+from upslope.adaptation.algorithm2 import AdaptationConfig
 from upslope.errors import UpslopeError
 from upslope.experiments.adaptation_panel import (
     RULES,
@@ -30,7 +28,9 @@ from upslope.experiments.priors import (
 )
 from upslope.experiments.results import FigureResult, Panel
 from upslope.experiments.shaping_panel import shaping_arms, shaping_learners, shaping_panel
-from upslope.recipes import MetaTrainingConfig
+from upslope.learners.ddpg import DDPGConfig
+from upslope.learners.dqn import DQNConfig
+from upslope.meta_training.recipes import MetaTrainingConfig
 from upslope.run.ahead import Ahead
 from upslope.run.compiling import compile_clock
 from upslope.run.loop import expect

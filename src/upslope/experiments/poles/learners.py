@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from upslope.agents.ddpg import DDPGConfig
-from upslope.agents.dqn import DQNConfig
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import mean_levels, meta_train_priors
 from upslope.experiments.results import circumstances
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
-from upslope.recipes import MetaTrainingConfig
+from upslope.learners.ddpg import DDPGConfig
+from upslope.learners.dqn import DQNConfig
+from upslope.meta_training.recipes import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
 from upslope.tasks import cartpoles

@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
-from upslope.agents.dqn import DQNConfig
 from upslope.experiments.experiment import Experiment, Plan
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import describe_priors, mean_levels, meta_train_priors, zero_shot_returns
 from upslope.experiments.results import circumstances, write_json
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
-from upslope.prior import Prior, trained_on
-from upslope.recipes import MetaTrainingConfig
+from upslope.learners.dqn import DQNConfig
+from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.priors.prior import Prior, trained_on
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
 from upslope.storage import write_atomically

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from upslope.agents.adaptation import advantage_step_loss, value_step_loss
+from upslope.adaptation.algorithm2 import advantage_step_loss, value_step_loss
+from upslope.equations.losses import advantage_loss, value_loss
+from upslope.equations.maml import descend
 from upslope.experiments.theorems.maps import Maps, for_each, known
-from upslope.losses import advantage_loss, value_loss
-from upslope.maml import descend
-from upslope.measures import Truth, action_optimality
-from upslope.measures import truth as truth_of
-from upslope.networks import DuelingQ
-from upslope.planning import TabularMDP, shape_mdp
+from upslope.networks.dueling import DuelingQ
+from upslope.planning.exact import TabularMDP, shape_mdp
+from upslope.planning.measures import Truth, action_optimality
+from upslope.planning.measures import truth as truth_of
 from upslope.types import Key, Observation, Transition
 
 #: α of the tables: a step of Eq. 8 or 9 then goes half of the way to its target.

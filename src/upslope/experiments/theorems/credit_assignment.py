@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.experiments.theorems.maps import TOLERANCE, Maps, for_each, known
-from upslope.measures import success
-from upslope.planning import best_actions, immediate_rewards, shape_mdp
-from upslope.tasks.grid_potentials import manhattan_values
+from upslope.planning.exact import best_actions, immediate_rewards, shape_mdp
+from upslope.planning.grid_potentials import manhattan_values
+from upslope.planning.measures import success
 from upslope.types import Key
 
 #: Standard deviations of the noise on V*; the reward for the goal is 1.

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 
 from upslope.envs.grid import GridGame, GridParams
 from upslope.experiments.keys import Purpose, key_for
-from upslope.measures import Truth, truth
-from upslope.planning import value_iteration
+from upslope.planning.exact import value_iteration
+from upslope.planning.measures import Truth, truth
 from upslope.tasks import JaxTasks, clean_maps, grid_games, obstacle_maps
 
 #: So exact are the values found; all that is called zero is zero to within this.

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from upslope.equations.shaping import shaped_optimum
 from upslope.experiments.theorems.maps import TOLERANCE, Maps, for_each, known
-from upslope.measures import success
-from upslope.planning import Solution, TabularMDP, best_actions, value_iteration
-from upslope.shaping import shaped_optimum
-from upslope.tasks.grid_potentials import manhattan_distance
+from upslope.planning.exact import Solution, TabularMDP, best_actions, value_iteration
+from upslope.planning.grid_potentials import manhattan_distance
+from upslope.planning.measures import success
 from upslope.types import Key
 
 #: Wrong γ in F, beside the task's 0.9.

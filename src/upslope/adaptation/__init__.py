@@ -1,0 +1,1 @@
+"""Algorithm 2, MAML fine-tuning, and the controls between them."""

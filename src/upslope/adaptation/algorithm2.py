@@ -1,0 +1,158 @@
+"""Algorithm 2: adapting prior and policy together on a new task, A head first, V head second."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from upslope.equations.losses import advantage_loss, value_loss
+from upslope.equations.maml import descend
+from upslope.equations.shaping import potential_based, shape
+from upslope.learners.evaluation import greedy_report
+from upslope.learners.experience import Experience
+from upslope.learners.learner import AbstractTaskLearner, vital_signs
+from upslope.learners.lookups import Asked, DuelingLookup, looked_up
+from upslope.learners.policies import EpsilonGreedy, Greedy
+from upslope.networks.dueling import DuelingQ
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Key, Metrics, Scalar, Task, Transition
+
+
+@runtime_checkable
+class UpdateRule(Protocol):
+    """How one arm turns a batch into new parameters: Algorithm 2, MAML, and the controls between them."""
+
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+        """φ after one update on raw transitions ``[n, ...]``; the prior is only asked."""
+        ...
+
+
+class AdvantageHead(eqx.Module):
+    """Algorithm 2's two steps: A by Eq. 8 with the current potential, then V by Eq. 9.
+
+    Attributes:
+        centred: subtract the *prior's* frozen max A, so that A starts as Q_θ − V_θ. Training by Eq. 6 leaves the level
+            of the raw A head arbitrary, and the first V steps would have to undo it. Subtracting the *current* max
+            instead would make Eq. 9's gradient identically zero.
+        value_step: the step of Eq. 9, in steps of Eq. 8; 1 as printed. On tables equal steps diverge on some maps, a
+            tenth on none (docs/theorems.md).
+    """
+
+    centred: bool = eqx.field(static=True, default=True)
+    value_step: float = eqx.field(static=True, default=1.0)
+
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+        level = self.level(prior)
+        phi = descend(phi, jax.grad(advantage_step_loss)(phi, phi, batch, level), step_size)
+        return descend(phi, jax.grad(value_step_loss)(phi, batch, level), self.value_step * step_size)
+
+    def level(self, prior: Asked) -> Callable:
+        """What is subtracted from A(s, ·)."""
+        return (lambda obs: jnp.max(prior.advantage(obs))) if self.centred else (lambda obs: jnp.zeros(()))
+
+
+def advantage_step_loss(phi: DuelingQ, potential: Asked, batch: Transition, level: Callable) -> Scalar:
+    """Mean of Eq. 8, with the rewards shaped by the V head of ``potential``, which is a constant here."""
+    shaped = shape(batch, potential_based(jax.lax.stop_gradient(potential).value).rewards(batch))
+    advantage = jax.vmap(lambda obs: phi.advantage(obs) - level(obs))
+    next_advantage = jax.lax.stop_gradient(advantage(batch.next_obs))
+    losses = jax.vmap(advantage_loss)(advantage(batch.obs), batch.action, shaped.reward, batch.discount, next_advantage)
+    return jnp.mean(losses)
+
+
+def value_step_loss(phi: DuelingQ, batch: Transition, level: Callable) -> Scalar:
+    """Mean of Eq. 9."""
+    value, advantage = jax.vmap(phi.heads)(batch.obs)
+    return jnp.mean(jax.vmap(value_loss)(value, advantage - jax.vmap(level)(batch.obs)[:, None]))
+
+
+@dataclass(frozen=True)
+class AdaptationConfig:
+    """Settings of adaptation, the same for every arm.
+
+    Attributes:
+        batch_size: transitions behind each gradient.
+        replay_capacity: transitions remembered.
+        steps_per_update: environment steps before each update.
+        epsilon: share of random actions.
+        evaluation_episodes: greedy episodes behind each reported return.
+    """
+
+    batch_size: int = 128
+    replay_capacity: int = 10_000
+    steps_per_update: int = 200
+    epsilon: float = 0.1
+    evaluation_episodes: int = 3
+
+
+def for_maps() -> AdaptationConfig:
+    """Adaptation with the convolutional network on grid games: one longest episode before each update."""
+    return AdaptationConfig(batch_size=32, replay_capacity=1000, steps_per_update=50)
+
+
+class AdaptationState(eqx.Module):
+    """All that changes while adapting.
+
+    Attributes:
+        phi: φ_j, the task-posterior.
+        everywhere: φ in every state of a finite task; None elsewhere. Experience, reports and terms without a gradient
+            look it up, which saves a third of an update's passes through the network.
+        prior_everywhere: likewise the prior.
+    """
+
+    key: Key
+    phi: DuelingQ
+    experience: Experience
+    everywhere: DuelingLookup | None
+    prior_everywhere: DuelingLookup | None
+
+
+class Adaptation(AbstractTaskLearner):
+    """Few-shot learning of one task from a prior, by one of the update rules.
+
+    The policy follows the A head, whatever the rule: Eq. 6's Q has its maximum at the same action.
+
+    Attributes:
+        prior: θ, where φ starts.
+        step_size: α of plain gradient descent.
+    """
+
+    family: AbstractFamily
+    task: Task
+    prior: DuelingQ
+    step_size: Float[Array, "*batch"]
+    rule: UpdateRule = AdvantageHead()
+    config: AdaptationConfig = eqx.field(static=True, default=AdaptationConfig())
+
+    def init(self, key: Key) -> AdaptationState:
+        key, start_key = jax.random.split(key)
+        experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity)
+        everywhere = looked_up(self.family, self.task, self.prior)
+        return AdaptationState(key, self.prior, experience, everywhere, everywhere)
+
+    def gather(self, state: AdaptationState) -> tuple[Any, Transition]:
+        _, act_key, _ = jax.random.split(state.key, 3)
+        policy = EpsilonGreedy((state.everywhere or state.phi).advantage, self.config.epsilon)
+        return state.experience.act(act_key, self.family, self.task, policy, self.config.steps_per_update)
+
+    def update(self, state: AdaptationState, gathered: tuple[Any, Transition]) -> tuple[AdaptationState, Metrics]:
+        key, _, sample_key = jax.random.split(state.key, 3)
+        running, seen = gathered
+        experience = state.experience.remember(running, seen)
+        batch = experience.sample(sample_key, self.config.batch_size).transition
+        prior: Asked = state.prior_everywhere or self.prior
+        phi = self.rule.update(state.phi, prior, batch, self.step_size)
+        everywhere = looked_up(self.family, self.task, phi)
+        now: Asked = everywhere or phi
+        moved = jnp.mean(jnp.abs(jax.vmap(now.value)(batch.obs) - jax.vmap(prior.value)(batch.obs)))
+        state = AdaptationState(key, phi, experience, everywhere, state.prior_everywhere)
+        return state, vital_signs(seen) | {"value_change": moved}
+
+    def report(self, state: AdaptationState) -> dict[str, Scalar]:
+        key = jax.random.fold_in(state.key, 0)
+        policy = Greedy((state.everywhere or state.phi).advantage)
+        return greedy_report(key, self.family, self.task, policy, self.config.evaluation_episodes)

@@ -1,0 +1,51 @@
+"""Two controls that tell what Algorithm 2's gain comes from: each changes one thing about it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from upslope.adaptation.algorithm2 import AdvantageHead, UpdateRule, advantage_step_loss
+from upslope.equations.losses import td_loss
+from upslope.equations.maml import descend
+from upslope.learners.lookups import Asked
+from upslope.networks.dueling import DuelingQ
+from upslope.types import Scalar, Transition
+
+
+class FrozenPotential(eqx.Module):
+    """V frozen at the prior, two centred A steps: pure shaping. Tells what moving the potential adds."""
+
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+        level = AdvantageHead(centred=True).level(prior)
+        for _ in range(2):
+            phi = descend(phi, jax.grad(advantage_step_loss)(phi, prior, batch, level), step_size)
+        return phi
+
+
+class CentredTD(eqx.Module):
+    """One TD step on V + A − frozen max A. Tells what is owed to not differentiating through a running maximum."""
+
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+        return descend(phi, jax.grad(centred_td_loss)(phi, prior, batch), step_size)
+
+
+def centred_td_loss(phi: DuelingQ, prior: Asked, batch: Transition) -> Scalar:
+    """Mean of Eq. 5 for Q(s, ·) = V(s) + A(s, ·) − the prior's max A(s, ·)."""
+
+    def centred_q(obs):
+        value, advantage = phi.heads(obs)
+        return value + advantage - jnp.max(prior.advantage(obs))
+
+    q, next_q = jax.vmap(centred_q)(batch.obs), jax.lax.stop_gradient(jax.vmap(centred_q)(batch.next_obs))
+    return jnp.mean(jax.vmap(td_loss)(q, batch.action, batch.reward, batch.discount, next_q))
+
+
+class OneOf(eqx.Module):
+    """One of several rules, chosen by a number: a comparison of all of them compiles one program."""
+
+    rules: tuple[UpdateRule, ...]
+    index: Int[Array, ""]
+
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+        return jax.lax.switch(self.index, [rule.update for rule in self.rules], phi, prior, batch, step_size)

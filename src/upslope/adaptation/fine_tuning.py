@@ -1,0 +1,32 @@
+"""The MAML baseline: plain fine-tuning of the whole prior by Q-learning, no shaping."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from upslope.equations.losses import td_loss
+from upslope.equations.maml import adapt
+from upslope.learners.lookups import Asked
+from upslope.networks.dueling import DuelingQ
+from upslope.types import Scalar, Transition
+
+
+class FineTuning(eqx.Module):
+    """MAML's way to a new task: Eq. 2 on the TD error of Eq. 5.
+
+    Attributes:
+        steps: gradient steps per update. Two make as many gradient steps as Algorithm 2's pair.
+    """
+
+    steps: int = eqx.field(static=True, default=1)
+
+    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+        del prior
+        return adapt(fine_tuning_loss, phi, batch, step_size=step_size, steps=self.steps)
+
+
+def fine_tuning_loss(phi: DuelingQ, batch: Transition) -> Scalar:
+    """Mean of Eq. 5 with Eq. 6's Q, the target a constant."""
+    next_q = jax.lax.stop_gradient(jax.vmap(phi)(batch.next_obs))
+    q = jax.vmap(phi)(batch.obs)
+    return jnp.mean(jax.vmap(td_loss)(q, batch.action, batch.reward, batch.discount, next_q))

@@ -1,0 +1,1 @@
+"""What learns one task: DQN, DDPG, and what they are made of."""

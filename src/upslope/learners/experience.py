@@ -1,0 +1,82 @@
+"""A learner's own experience of one task: running environments and a replay of raw rewards."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from upslope.equations.shaping import Shaping
+from upslope.learners.lookups import looking_up
+from upslope.learners.replay import Replay
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Key, Policy, Scalar, Task, Transition
+
+
+class Record(NamedTuple):
+    """What is remembered of a step: the raw transition and, apart from it, F of a frozen potential.
+
+    F is computed once, when the step is taken, not at each of the many times that it is drawn. A potential that moves
+    keeps no F here (``None``): all of a batch must be shaped by one version of Φ.
+    """
+
+    transition: Transition
+    added: Float[Array, "*batch"] | None
+
+
+class Experience(eqx.Module):
+    """One environment of one task, and the records of what happened there."""
+
+    running: Any
+    replay: Replay
+
+    @classmethod
+    def start(
+        cls, key: Key, family: AbstractFamily, task: Task, capacity: int, shaping: Shaping | None = None
+    ) -> "Experience":
+        """A fresh environment and an empty replay."""
+        action = jnp.zeros((family.actions,)) if family.continuous else jnp.zeros((), jnp.int32)
+        obs = jnp.zeros(family.observation_shape)
+        example = Transition(obs, action, jnp.zeros(()), jnp.zeros(()), obs)
+        record = Record(example, None if shaping is None else jnp.zeros(()))
+        return cls(family.reset(key, _alone(task)), Replay.empty(record, capacity))
+
+    def act(self, key: Key, family: AbstractFamily, task: Task, policy: Policy, steps: int) -> tuple[Any, Transition]:
+        """Acts for ``steps`` steps: the running environment after them, and the raw transitions ``[steps, ...]``."""
+        policy = looking_up(family, task, policy, steps)
+        running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
+        return running, jax.tree.map(lambda leaf: leaf[0], transitions)
+
+    def remember(self, running: Any, transitions: Transition, shaping: Shaping | None = None) -> "Experience":
+        """What `act` gave, added to the replay, with F beside the raw rewards where there is a shaping."""
+        record = Record(transitions, None if shaping is None else shaping.rewards(transitions))
+        return Experience(running, self.replay.add(record))
+
+    def extend(
+        self,
+        key: Key,
+        family: AbstractFamily,
+        task: Task,
+        policy: Policy,
+        steps: int,
+        shaping: Shaping | None = None,
+    ) -> tuple["Experience", Transition]:
+        """`act`, then `remember`: the longer experience, and the new raw transitions ``[steps, ...]``."""
+        running, transitions = self.act(key, family, task, policy, steps)
+        return self.remember(running, transitions, shaping), transitions
+
+    def sample(self, key: Key, count: int) -> Record:
+        """Draws ``count`` records uniformly."""
+        return self.replay.sample(key, count)
+
+
+def greedy_return(key: Key, family: AbstractFamily, task: Task, policy: Policy, episodes: int) -> Scalar:
+    """The mean raw return of fresh episodes on one task; never shaped."""
+    copies = jax.tree.map(lambda leaf: jnp.repeat(leaf[None], episodes, axis=0), task)
+    return jnp.mean(family.returns(key, copies, policy))
+
+
+def _alone(task: Task) -> Task:
+    """One task as a batch of one."""
+    return jax.tree.map(lambda leaf: leaf[None], task)

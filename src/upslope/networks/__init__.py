@@ -1,0 +1,1 @@
+"""Networks: torsos, dueling heads, and their NumPy twins."""

@@ -1,0 +1,1 @@
+"""Exact planning in finite tasks, and what is measured against it."""

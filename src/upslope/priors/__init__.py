@@ -1,0 +1,1 @@
+"""Priors: the network, its file, and its NumPy form."""

@@ -1,0 +1,126 @@
+"""A prior: the meta-learned network together with what it was trained on; saved as one safetensors file."""
+
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from upslope.errors import UpslopeError
+from upslope.networks.dueling import DuelingQ
+from upslope.priors.numpy_potential import NumpyPotential
+from upslope.priors.prior_file import TrainedOn, read_prior_file, write_prior_file
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Observation, Scalar
+
+
+@dataclass(frozen=True)
+class Prior:
+    """θ and its provenance. Call it on an observation for Φ(s) = V_θ(s)."""
+
+    network: DuelingQ
+    trained_on: TrainedOn
+
+    @property
+    def gamma(self) -> float:
+        """γ that the potential was learned with, and that shaping by it needs."""
+        return self.trained_on.gamma
+
+    def __call__(self, obs: Observation) -> Scalar:
+        """Φ(s) = V_θ(s) of one observation."""
+        return self.network.value(jnp.asarray(obs))
+
+    def values(self, obs: Float[Array, "n *obs"]) -> Float[Array, "n"]:
+        """Φ of a batch of observations."""
+        return jax.vmap(self.network.value)(jnp.asarray(obs))
+
+    def check(self, family: AbstractFamily, *, acting: bool = False) -> None:
+        """Whether the prior belongs to a family's tasks.
+
+        Args:
+            family: where it is to be used.
+            acting: the A head is to be used too, so that the actions must be the same.
+
+        Raises:
+            UpslopeError: another family, γ, observation shape, or (if acting) other actions.
+        """
+        trained = self.trained_on
+        pairs = [
+            ("the family", trained.family, family.name),
+            ("gamma", trained.gamma, family.gamma),
+            ("the observation shape", trained.observation_shape, family.observation_shape),
+        ]
+        if acting:
+            pairs.append(("the number of actions", trained.actions, 0 if family.continuous else family.actions))
+        for what, ours, theirs in pairs:
+            if ours != theirs:
+                raise UpslopeError(
+                    f"The prior does not fit the tasks: {what} is {ours} in the prior and {theirs} in the tasks. "
+                    "Use a prior that was trained on these tasks, or make the tasks with the prior's settings; "
+                    "families of one state space share a name, which GymnasiumTasks and gymnax_tasks take as name=."
+                )
+
+    def to_numpy(self) -> NumpyPotential:
+        """Φ = V_θ in plain numpy, for host processes: a few microseconds a call, and no JAX."""
+        tensors = {name: np.asarray(leaf) for name, leaf in _named_leaves(self.network)}
+        return NumpyPotential(self.trained_on, tensors)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Writes one safetensors file: the parameters, and `TrainedOn` as its JSON header.
+
+        Raises:
+            UpslopeError: the file exists already or can't be written.
+        """
+        tensors = {name: np.asarray(leaf) for name, leaf in _named_leaves(self.network)}
+        write_prior_file(Path(path), self.trained_on, tensors, overwrite=overwrite)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Prior":
+        """Reads what `save` wrote, bit for bit.
+
+        Raises:
+            UpslopeError: a missing, damaged, foreign or newer file, or one with non-finite parameters.
+        """
+        trained_on, tensors = read_prior_file(Path(path))
+        return cls(_fill(trained_on, tensors), trained_on)
+
+
+def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: dict[str, Any]) -> TrainedOn:
+    """The provenance of a prior meta-trained on a family."""
+    return TrainedOn(
+        family=family.name,
+        gamma=family.gamma,
+        observation_shape=family.observation_shape,
+        observation_scale=family.observation_scale,
+        actions=family.actions,
+        hidden=network.torso.hidden,
+        activation=network.torso.activation,
+        seed=seed,
+        settings=settings,
+        version=version("upslope"),
+    )
+
+
+def _fill(trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> DuelingQ:
+    """A network of the header's sizes with the file's parameters."""
+    skeleton = eqx.filter_eval_shape(
+        DuelingQ,
+        jax.random.key(0),
+        trained_on.observation_shape,
+        trained_on.actions,
+        trained_on.hidden,
+        trained_on.observation_scale,
+        trained_on.activation,
+    )
+    leaves = [jnp.asarray(tensors[name]) for name, _ in _named_leaves(skeleton)]
+    return jax.tree.unflatten(jax.tree.structure(skeleton), leaves)
+
+
+def _named_leaves(network: Any) -> list[tuple[str, Any]]:
+    leaves, _ = jax.tree_util.tree_flatten_with_path(network)
+    return [(jax.tree_util.keystr(path, simple=True, separator="."), leaf) for path, leaf in leaves]

@@ -1,0 +1,1 @@
+"""What drives learners: compiled programs, or host environments with compiled updates."""

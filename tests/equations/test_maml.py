@@ -1,0 +1,149 @@
+"""Eqs. 2 and 3 on quadratics with closed forms, and against finite differences."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from support.batches import one_number as n
+from support.differences import assert_gradient
+from upslope.equations import maml
+from upslope.errors import UpslopeError
+
+
+class Bowl(NamedTuple):
+    """½·curvature·(φ − centre)², whose gradient step shrinks φ − centre by 1 − α·curvature."""
+
+    curvature: jax.Array
+    centre: jax.Array
+
+
+def bowl_loss(phi, bowl):
+    return 0.5 * bowl.curvature * (phi - bowl.centre) ** 2
+
+
+def slope_loss(phi, bowl):
+    """No curvature at all."""
+    return bowl.curvature * phi
+
+
+def bent_loss(params, data):
+    """Something with third derivatives, over a PyTree of parameters."""
+    return jnp.mean((jnp.tanh(data @ params["in"]) @ params["out"] - jnp.sin(data[:, 0])) ** 2)
+
+
+def posterior_loss(_, phi, data):
+    return bowl_loss(phi, data)
+
+
+BOWL = Bowl(n(2.0), n(1.0))
+TWO_BOWLS = Bowl(jnp.array([1.0, 2.0]), jnp.array([1.0, 5.0]))
+
+
+def meta_gradient(inner_loss, theta, *, steps=1, first_order=False):
+    """The meta-gradient over one bowl, with the bowl's own loss outside."""
+    one = jax.tree.map(lambda leaf: leaf[None], BOWL)
+
+    def objective(theta):
+        return maml.meta_loss(
+            inner_loss, posterior_loss, theta, one, step_size=0.1, steps=steps, first_order=first_order
+        )
+
+    return float(jax.grad(objective)(n(theta)))
+
+
+def test_descend_steps_every_leaf_against_its_gradient():
+    params, gradient = {"a": n(1), "b": jnp.array([2.0, 3.0])}, {"a": n(10), "b": jnp.array([-10.0, 0.0])}
+    moved = maml.descend(params, gradient, 0.1)
+    assert float(moved["a"]) == 0.0
+    np.testing.assert_allclose(moved["b"], [3.0, 3.0])
+
+
+@pytest.mark.parametrize(("steps", "expected"), [(1, 1 + 2 * 0.8), (2, 1 + 2 * 0.64), (3, 1 + 2 * 0.512)])
+def test_adapting_n_times(steps, expected):
+    # φ − 1 shrinks by 1 − 0.1·2 = 0.8 in each step, from θ − 1 = 2.
+    phi = maml.adapt(bowl_loss, n(3), BOWL, step_size=0.1, steps=steps)
+    assert float(phi) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("first_order", [False, True])
+def test_first_order_finds_the_same_posterior(first_order):
+    phi = maml.adapt(bowl_loss, n(3), BOWL, step_size=0.1, steps=2, first_order=first_order)
+    assert float(phi) == pytest.approx(1 + 2 * 0.64)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_full_and_first_order_meta_gradients_have_their_closed_forms(steps):
+    # L(φ) = (φ − 1)² with φ − 1 = 0.8ᴺ·2. Full: dL/dφ·dφ/dθ = 2·0.8ᴺ·2·0.8ᴺ. First order takes dφ/dθ for 1.
+    shrunk = 0.8**steps
+    assert meta_gradient(bowl_loss, 3.0, steps=steps) == pytest.approx(4 * shrunk * shrunk)
+    assert meta_gradient(bowl_loss, 3.0, steps=steps, first_order=True) == pytest.approx(4 * shrunk)
+
+
+def test_first_order_is_exact_where_the_inner_loss_has_no_curvature():
+    # φ = θ − 0.1·2, so dφ/dθ = 1 either way: 2·(3 − 0.2 − 1) = 3.6.
+    assert meta_gradient(slope_loss, 3.0) == pytest.approx(3.6)
+    assert meta_gradient(slope_loss, 3.0, first_order=True) == pytest.approx(3.6)
+
+
+def test_outer_step_over_two_tasks():
+    # φ = 1 + 0.9·2 = 2.8 and 5 + 0.8·(−2) = 3.4; slopes 1·1.8·0.9 = 1.62 and 2·(−1.6)·0.8 = −2.56, their mean −0.47.
+    theta = maml.outer_step(bowl_loss, n(3), TWO_BOWLS, inner_step_size=0.1, outer_step_size=0.5)
+    assert float(theta) == pytest.approx(3 + 0.5 * 0.47)
+
+
+def test_first_order_outer_step_over_two_tasks():
+    # Without the factors 0.9 and 0.8: slopes 1.8 and −3.2, their mean −0.7.
+    theta = maml.outer_step(bowl_loss, n(3), TWO_BOWLS, inner_step_size=0.1, outer_step_size=0.5, first_order=True)
+    assert float(theta) == pytest.approx(3 + 0.5 * 0.7)
+
+
+def test_meta_loss_is_the_mean_over_tasks():
+    # ½·1·1.8² = 1.62 and ½·2·1.6² = 2.56
+    loss = maml.meta_loss(bowl_loss, posterior_loss, n(3), TWO_BOWLS, step_size=0.1)
+    assert float(loss) == pytest.approx((1.62 + 2.56) / 2)
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_meta_gradient_equals_finite_differences(steps):
+    with jax.enable_x64(True):
+        keys = jax.random.split(jax.random.key(1), 3)
+        theta = {"in": jax.random.normal(keys[0], (2, 3)), "out": jax.random.normal(keys[1], (3,))}
+        data = jax.random.normal(keys[2], (2, 5, 2))  # two tasks of five points
+
+        @jax.jit
+        def objective(params):
+            return maml.meta_loss(
+                bent_loss, lambda _, phi, batch: bent_loss(phi, batch), params, data, step_size=0.3, steps=steps
+            )
+
+        gradient = jax.grad(objective)(theta)
+        assert_gradient(objective, theta, gradient)
+        stepped = maml.outer_step(
+            bent_loss, theta, data, inner_step_size=0.3, outer_step_size=0.7, steps=steps, first_order=False
+        )
+        np.testing.assert_allclose(stepped["in"], theta["in"] - 0.7 * gradient["in"], rtol=1e-10)
+
+
+def test_task_by_task_gives_the_mean_loss_and_its_gradient():
+    keys = jax.random.split(jax.random.key(1), 3)
+    theta = {"in": jax.random.normal(keys[0], (2, 3)), "out": jax.random.normal(keys[1], (3,))}
+    data = jax.random.normal(keys[2], (4, 5, 2))  # four tasks of five points
+
+    def one(params, batch):
+        return bent_loss(maml.adapt(bent_loss, params, batch, step_size=0.3), batch)
+
+    loss, gradient = jax.jit(lambda params: maml.gradient_task_by_task(one, params, data))(theta)
+    side_by_side = jax.value_and_grad(lambda params: jnp.mean(jax.vmap(lambda batch: one(params, batch))(data)))
+    expected_loss, expected = side_by_side(theta)
+    assert float(loss) == pytest.approx(float(expected_loss), rel=1e-5)
+    for name in theta:
+        np.testing.assert_allclose(gradient[name], expected[name], rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("steps", [0, -1])
+def test_adapting_takes_at_least_one_step(steps):
+    with pytest.raises(UpslopeError, match=f"inner_steps is {steps}"):
+        maml.adapt(bowl_loss, n(3), BOWL, step_size=0.1, steps=steps)

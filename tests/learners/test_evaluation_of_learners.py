@@ -1,0 +1,66 @@
+"""What learners report: exact on maps, and the same as playing; sampled elsewhere."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from support.plain_grids import pick
+from upslope.envs.grid import read_map
+from upslope.learners.evaluation import exact_report, greedy_report
+from upslope.learners.policies import Greedy
+from upslope.planning.exact import tabulate, value_iteration
+from upslope.planning.measures import episode_values
+from upslope.tasks import cartpoles, grid_games
+
+FAMILY = grid_games((4, 4), max_steps=12)
+MAPS = jax.tree.map(jnp.asarray, FAMILY.sample_many(jax.random.key(0), 30))
+
+
+def by_table(q):
+    """Acts by a table over cells."""
+    return Greedy(lambda obs: q[FAMILY.env.state_number(obs)])
+
+
+def test_the_report_is_what_playing_shows():
+    tables = jax.random.normal(jax.random.key(1), (30, 16, 4))
+    exact = jax.vmap(lambda task, q: exact_report(FAMILY, task, by_table(q)))(MAPS, tables)
+    played = jax.vmap(
+        lambda task, q: FAMILY.returns(jax.random.key(2), jax.tree.map(lambda leaf: leaf[None], task), by_table(q))[0]
+    )(MAPS, tables)
+    np.testing.assert_array_equal(exact["return"], played)
+    assert 0 < exact["return"].sum() < 30
+
+
+def test_the_optimal_policy_earns_the_optimal_value():
+    for index in range(5):
+        task = pick(MAPS, index)
+        solution = value_iteration(tabulate(FAMILY.env, task, FAMILY.gamma))
+        report = exact_report(FAMILY, task, by_table(solution.action_value))
+        assert float(report["return"]) == 1.0
+        assert float(report["discounted_return"]) == pytest.approx(float(solution.value[task.start]), rel=1e-5)
+
+
+def test_an_episode_ends_after_its_steps():
+    task = read_map("S...G")
+    mdp = tabulate(grid_games((1, 5)).env, task, 0.9)
+    right = jax.nn.one_hot(jnp.full(5, 3), 4)
+    for steps, raw in ((3, 0.0), (4, 1.0)):
+        undiscounted, discounted = episode_values(mdp, right, steps)
+        assert float(undiscounted[0]) == raw
+        assert float(discounted[0]) == pytest.approx(raw * 0.9**3, rel=1e-6)
+
+
+def test_a_trap_costs_its_penalty():
+    task = read_map("STG", trap_penalty=0.5)
+    family = grid_games((1, 3), traps=0.1, gamma=0.8)
+    report = exact_report(family, task, Greedy(lambda obs: jnp.asarray([0.0, 0.0, 0.0, 1.0])))
+    assert float(report["return"]) == -0.5
+
+
+def test_poles_are_played():
+    family = cartpoles()
+    task = family.sample(jax.random.key(0))
+    report = greedy_report(jax.random.key(1), family, task, Greedy(lambda obs: obs[2:3] * jnp.asarray([-1, 1])), 2)
+    assert set(report) == {"return"}
+    assert 1 <= float(report["return"]) <= 200

@@ -1,0 +1,204 @@
+"""Every learner on host families, through the same loop: same phases, finite numbers, checkpoints, learning."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import upslope
+from support import host
+from support.comparing import assert_trees_close
+from upslope import GymnasiumTasks, MetaTrainingConfig
+from upslope.adaptation.algorithm2 import AdaptationConfig
+from upslope.adaptation.fine_tuning import FineTuning
+from upslope.errors import UpslopeError
+from upslope.learners.ddpg import DDPGConfig
+from upslope.learners.dqn import DQN, DQNConfig
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.run.checkpoints import Checkpoints
+from upslope.run.engines import host as host_chunks
+from upslope.run.loop import broadcast, run
+from upslope.run.session import Session
+
+SMALL = MetaTrainingConfig(
+    iterations=4, tasks=3, steps_per_task=20, batch_size=16, hidden=(8, 8), outer_updates=2, snapshot_every=2,
+    evaluation_tasks=2, evaluation_episodes=1,
+)  # fmt: skip
+DQN_SMALL = DQNConfig(hidden=(8,), batch_size=8, warmup_steps=16, replay_capacity=64, evaluation_episodes=1)
+
+
+def poles(make=host.short_pole):
+    return GymnasiumTasks(host.length, make, 0.98, name="cartpole", observation_scale=host.SCALE)
+
+
+#: One family for all, so that they share compiled programs.
+FAMILY = poles()
+
+
+@pytest.fixture(scope="module")
+def prior():
+    return upslope.meta_train(FAMILY, seed=0, config=SMALL)
+
+
+def test_algorithm_1(prior):
+    assert prior.trained_on.family == "cartpole"
+    assert prior.trained_on.settings["iteration"] in (2, 4)
+    assert 1 <= prior.trained_on.settings["return_on_training_tasks"] <= 12
+    again = upslope.meta_train(FAMILY, seed=0, config=SMALL)
+    assert prior.to_numpy() == again.to_numpy()
+    assert prior.to_numpy() != upslope.meta_train(FAMILY, seed=1, config=SMALL).to_numpy()
+
+
+@pytest.mark.parametrize("rule", [None, FineTuning()], ids=["algorithm 2", "MAML"])
+def test_adaptation(prior, rule):
+    family = FAMILY
+    config = AdaptationConfig(batch_size=8, steps_per_update=10, evaluation_episodes=1, replay_capacity=64)
+    task = family.sample(jax.random.key(5))
+    posterior, returns = upslope.adapt(prior, family, task, updates=3, rule=rule, config=config)
+    assert returns.shape == (4,)
+    assert np.all((returns >= 1) & (returns <= 12))
+    assert posterior.to_numpy() != prior.to_numpy()
+
+
+@pytest.mark.parametrize("shaped", [False, True])
+def test_dqn(prior, shaped):
+    family = FAMILY
+    task = family.sample(jax.random.key(5))
+    outcome = upslope.train(family, task, prior if shaped else None, updates=20, every=10, config=DQN_SMALL)
+    assert outcome.reports["return"].shape == (1, 3)
+    assert np.all(outcome.metrics["td_loss"][0, 1:] > 0)
+    assert bool(np.any(outcome.metrics["shaped_reward"][0, 1:] != 1.0)) == shaped
+    np.testing.assert_array_equal(outcome.metrics["reward"][0, 1:], 1.0)
+
+
+def test_ddpg(prior):
+    family = poles(host.pushed_pole)
+    config = DDPGConfig(hidden=(8,), batch_size=8, warmup_steps=16, replay_capacity=64, evaluation_episodes=1)
+    outcome = upslope.train(family, family.sample(jax.random.key(5)), prior, updates=20, every=10, config=config)
+    assert outcome.reports["return"].shape == (1, 3)
+    assert np.all(np.isfinite(outcome.metrics["critic_loss"]))
+
+
+def test_several_learners_take_turns_and_do_not_touch_each_other():
+    family = FAMILY
+    tasks = family.sample_many(jax.random.key(5), 2)
+    keys = jax.random.split(jax.random.key(0), 2)
+    settings = {"updates": 6, "every": 3}
+    both = run(DQN(family, tasks, None, DQN_SMALL), keys, **settings)
+    for index in range(2):
+        alone = run(DQN(family, tasks[index : index + 1], None, DQN_SMALL), keys[index : index + 1], **settings)
+        np.testing.assert_array_equal(both.reports["return"][index], alone.reports["return"][0])
+        assert_trees_close(
+            jax.tree.map(lambda leaf, i=index: leaf[i], both.states.network),
+            jax.tree.map(lambda leaf: leaf[0], alone.states.network),
+        )
+
+
+def test_a_chunk_is_as_good_as_its_parts():
+    learners = broadcast(MetaTraining(FAMILY, SMALL), (1,))
+    keys = jax.random.key(0)[None]
+    ends = [run(learners, keys, updates=4, every=every).states.theta for every in (4, 2)]
+    assert_trees_close(ends[0], ends[1])
+
+
+def test_on_the_host_the_network_of_one_iteration_ago_acts():
+    learner = MetaTraining(FAMILY, SMALL)
+    before = learner.init(jax.random.key(0))
+    after, _ = learner.step(before)
+    assert_trees_close(before.acting, before.theta)
+    assert_trees_close(after.acting, before.theta)
+    moved = jax.tree.map(lambda new, old: float(jnp.abs(new - old).max()), after.theta, after.acting)
+    assert max(jax.tree.leaves(moved)) > 0
+
+
+def test_what_is_gathered_ahead_is_what_the_next_step_would_gather():
+    learner = MetaTraining(FAMILY, SMALL)
+    state, _ = learner.step(learner.init(jax.random.key(0)))
+    ahead = learner.gather_ahead(state)
+    following, _ = learner.step(state)
+    for found, expected in zip(ahead(), learner.gather(following), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_compiled_environments_have_no_need_of_that():
+    learner = MetaTraining(upslope.cartpoles(), SMALL)
+    state = learner.init(jax.random.key(0))
+    assert state.acting is None
+    assert learner.gather_ahead(state) is None
+
+
+def test_workers_of_their_own_learn_the_same():
+    family = GymnasiumTasks(
+        host.length, host.short_pole, 0.98, name="cartpole", observation_scale=host.SCALE, mode="async"
+    )
+    few = dataclasses.replace(SMALL, iterations=2, tasks=2, snapshot_every=1, evaluation_tasks=2)
+    priors = [upslope.meta_train(one, seed=0, config=few) for one in (FAMILY, family)]
+    assert priors[0].to_numpy() == priors[1].to_numpy()
+
+
+@pytest.mark.parametrize("family", [poles(host.pushed_pole), upslope.cartpoles(continuous=True)], ids=["host", "JAX"])
+def test_algorithm_1_needs_discrete_actions(family):
+    with pytest.raises(UpslopeError, match=r"continuous actions.*discrete ones"):
+        upslope.meta_train(family, config=SMALL)
+
+
+def test_a_potential_that_jax_can_t_trace_is_told_in_one_line():
+    with pytest.raises(UpslopeError, match=r"write it with jax\.numpy") as caught:
+        upslope.train(FAMILY, FAMILY.sample(jax.random.key(0)), lambda obs: -abs(float(obs[2])), updates=1, every=1)
+    assert "\n" not in str(caught.value)
+
+
+def test_shapes_are_found_without_an_environment():
+    def refuse(task):
+        raise RuntimeError("an environment was made")
+
+    family = poles()
+    family.environments._slot = refuse
+    learners = broadcast(MetaTraining(family, SMALL), (2,))
+    states, totals, report = host_chunks.shapes(learners, jax.random.split(jax.random.key(0), 2))
+    assert states.theta.value_head.weight.shape == (2, 1, 8)
+    assert totals["outer_loss"].shape == (2,)
+    assert report["return"].shape == (2,)
+
+
+def test_a_checkpoint_goes_on_with_new_episodes_and_says_so(tmp_path):
+    learners = broadcast(DQN(FAMILY, jnp.array([1, 2], jnp.uint32), None, DQN_SMALL), (1,))
+    keys = jax.random.key(0)[None]
+    saving = Session(checkpoints=Checkpoints(tmp_path, every_updates=4))
+    whole = run(learners, keys, updates=12, every=4, session=saving)
+    newest = sorted((tmp_path / "checkpoints").rglob("*.safetensors"))
+    newest[-1].unlink()
+    resuming = Session(checkpoints=Checkpoints(tmp_path, every_updates=4, resume=True))
+    with pytest.warns(UserWarning, match="new ones are begun"):
+        resumed = run(learners, keys, updates=12, every=4, session=resuming)
+    np.testing.assert_array_equal(resumed.reports["return"][0, :3], whole.reports["return"][0, :3])
+    assert int(resumed.states.experience.replay.added[0]) == 16 + 12
+
+
+def test_trouble_on_the_host_is_named():
+    class NaNs(host.Lamp):
+        def step(self, action):
+            obs, _, *rest = super().step(action)
+            return obs, float("nan"), *rest
+
+    family = GymnasiumTasks(lambda rng: 1.0, lambda task: NaNs(task, host.vectors()), 0.9, max_steps=5)
+    with pytest.raises(UpslopeError, match="DQN: reward of learner 0 is not a finite number at update 1"):
+        upslope.train(family, family.sample(jax.random.key(0)), updates=3, every=1, config=DQN_SMALL)
+    assert not family.environments._running, "environments are closed whatever happens"
+
+
+@pytest.mark.slow
+def test_a_prior_meta_trained_on_gymnasium_s_own_environments_learns_to_balance():
+    family = poles(host.pole)
+    returns = []
+    for seed in range(5):
+        prior = upslope.meta_train(family, seed=seed, config=MetaTrainingConfig(iterations=150))
+        returns.append(prior.trained_on.settings["return_on_training_tasks"])
+    assert np.median(returns) > 100, returns
+
+
+def test_a_setting_of_the_simulator_is_no_task():
+    with pytest.raises(UpslopeError, match=r"what family\.sample\(key\) gives.*sample\(rng\) returns it"):
+        upslope.train(FAMILY, 1.0, updates=2, every=1, config=DQN_SMALL)

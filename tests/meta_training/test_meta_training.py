@@ -1,0 +1,156 @@
+"""Algorithm 1 around its gradient: experience, averaging, step sizes, snapshots, the report, settings refused."""
+
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from support.batches import small_network
+from support.comparing import assert_trees_close, assert_trees_identical
+from support.meta import BATCH, TINY, learner
+from support.probes import discrete_family, observation_dependent
+from upslope.errors import UpslopeError
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.recipes import MetaTrainingConfig
+
+
+@pytest.fixture(scope="module")
+def states():
+    """Before the first iteration, and after each of three."""
+    meta = learner(averaging=0.75)
+    step, states = jax.jit(meta.step), [meta.init(jax.random.key(0))]
+    for _ in range(3):
+        states.append(step(states[-1])[0])
+    return states
+
+
+def blend(share, new, old):
+    return jax.tree.map(lambda a, b: share * a + (1 - share) * b, new, old)
+
+
+class TestAveraging:
+    def test_the_average_follows_theta_by_its_decay(self, states):
+        for before, after in itertools.pairwise(states):
+            assert_trees_close(after.average, blend(0.25, after.theta, before.average))
+            assert float(jnp.abs(after.theta.value_head.bias - before.theta.value_head.bias).max()) > 1e-4
+
+    def test_the_target_follows_theta_by_its_own(self, states):
+        for before, after in itertools.pairwise(states):
+            assert_trees_close(after.target, blend(0.1, after.theta, before.target))
+
+    def test_both_start_as_theta(self, states):
+        assert_trees_identical(states[0].average, states[0].theta)
+        assert_trees_identical(states[0].target, states[0].theta)
+
+    def test_without_averaging_the_prior_is_theta_as_printed(self):
+        theta, old = small_network(0), small_network(1)
+        assert_trees_close(learner(averaging=0.0)._average(theta, old), theta, rtol=1e-6)
+
+
+class TestCollecting:
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def collected():
+        meta = learner(tasks=3, steps_per_task=200, epsilon=(0.0, 1.0))
+        theta = meta.init(jax.random.key(0)).theta
+        tasks = meta.family.sample_many(jax.random.key(1), 3)
+        return theta, jax.jit(meta.collect)(jax.random.key(2), tasks, theta)
+
+    def test_each_task_has_its_own_epsilon(self, collected):
+        theta, batch = collected
+        greedy = jnp.argmax(jax.vmap(jax.vmap(theta))(batch.obs), axis=-1)
+        strayed = np.mean(batch.action != greedy, axis=1)
+        # Half of the random actions of two are greedy ones: 0, 1/4 and 1/2, give or take three standard deviations.
+        assert strayed[0] == 0
+        np.testing.assert_allclose(strayed[1:], [0.25, 0.5], atol=0.11)
+
+    def test_samples_are_of_their_own_task(self, collected):
+        theta, batch = collected
+        marked = batch._replace(reward=jnp.broadcast_to(jnp.arange(3.0)[:, None], batch.reward.shape))
+        drawn = learner(tasks=3).draw(jax.random.key(3), marked, theta)
+        np.testing.assert_array_equal(drawn.batch.reward, np.broadcast_to(np.arange(3.0)[:, None], (3, BATCH)))
+        np.testing.assert_allclose(drawn.next_q, jax.vmap(jax.vmap(theta))(drawn.batch.next_obs), rtol=1e-5)
+
+    def test_without_an_averaged_network_there_are_no_fixed_targets(self, collected):
+        theta, batch = collected
+        assert learner(tasks=3, target_decay=None).draw(jax.random.key(3), batch, theta).next_q is None
+
+
+class TestOptimiser:
+    def test_plain_descent_falls_linearly_from_first_to_last_step_size(self):
+        # 4 iterations of 2 outer updates: β = 0.8 before the first of 8 steps, 0 after the last.
+        optimiser = learner(outer_optimiser="sgd", outer_step_size=0.8, outer_step_size_end=0.0)._optimiser()
+        state, steps = optimiser.init(jnp.zeros(())), []
+        for _ in range(9):
+            change, state = optimiser.update(jnp.ones(()), state)
+            steps.append(float(change))
+        np.testing.assert_allclose(steps, -0.1 * np.arange(8, -1, -1), atol=1e-6)
+
+    def test_adam_is_indifferent_to_the_gradient_s_scale(self):
+        optimiser = learner(outer_step_size=0.8)._optimiser()
+        for scale in (1.0, 1e3):
+            change, _ = optimiser.update(jnp.asarray(scale), optimiser.init(jnp.zeros(())))
+            assert float(change) == pytest.approx(-0.8, rel=1e-3)
+
+
+class TestSnapshots:
+    @pytest.mark.parametrize(
+        ("returns", "share", "expected"),
+        [
+            ([90, 10, 20, 30, 25], 0.5, 3),  # from the middle on; the 90 is too early
+            ([90, 10, 20, 30, 25], 0.0, 0),
+            ([90, 10, 20, 30, 25], 1.0, 4),  # the last, as printed
+            ([10, 50, 20, 50, 30], 0.0, 3),  # of equals the last
+            ([90, 10, 20, 30, 25], 0.6, 3),  # 0.6·4 = 2.4 lies after the third
+            ([5], 0.5, 0),
+        ],
+    )
+    def test_the_best_of_the_last_share(self, returns, share, expected):
+        assert MetaTrainingConfig(select_from=share).best_snapshot(np.array(returns, float)) == expected
+
+    def test_snapshots_are_tried_on_the_same_episodes(self, states):
+        # Episodes that start at random and earn −1 or 1 by their start alone.
+        meta = MetaTraining(
+            discrete_family().only(observation_dependent()), dataclasses.replace(TINY, evaluation_tasks=20)
+        )
+        report = jax.jit(lambda key, trial_key: meta.report(
+            dataclasses.replace(states[0], key=key, trial_key=trial_key))["return"])  # fmt: skip
+        first, later, other = (
+            float(report(jax.random.key(key), jax.random.key(trial))) for key, trial in ((0, 5), (1, 5), (0, 6))
+        )
+        assert first == later != other
+
+    def test_the_key_of_the_trials_never_changes(self, states):
+        for state in states:
+            assert_trees_identical(state.trial_key, states[0].trial_key)
+
+
+class TestReport:
+    def test_it_changes_nothing(self):
+        meta = learner()
+        state = meta.init(jax.random.key(0))
+        copy = jax.tree.map(jnp.copy, state)
+        first, second = jax.jit(meta.report)(state), jax.jit(meta.report)(state)
+        assert_trees_identical(state, copy)
+        assert_trees_identical(first, second)
+
+    def test_it_is_the_average_network_and_its_return(self):
+        meta = learner()
+        state = meta.init(jax.random.key(0))
+        report = jax.jit(meta.report)(state)
+        assert_trees_identical(report["prior"], state.average)
+        assert report["return"].shape == ()
+
+
+class TestSettings:
+    @pytest.mark.parametrize(
+        "name",
+        ["iterations", "tasks", "steps_per_task", "batch_size", "inner_steps", "outer_updates", "snapshot_every"],
+    )
+    @pytest.mark.parametrize("value", [0, -3])
+    def test_counts_are_at_least_one(self, name, value):
+        with pytest.raises(UpslopeError, match=f"{name} is {value}"):
+            MetaTrainingConfig(**{name: value})

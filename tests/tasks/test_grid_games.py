@@ -1,0 +1,146 @@
+"""The family of grid games: settings that are refused, and learners of every kind that run on it unchanged."""
+
+import jax
+import numpy as np
+import pytest
+
+from support.plain_grids import draw
+from upslope import train
+from upslope.cli.families import Tasks, draw_task, recipe_for
+from upslope.envs.grid_rules import POSITION
+from upslope.errors import UpslopeError
+from upslope.learners.dqn import DQNConfig
+from upslope.meta_training.recipes import MetaTrainingConfig, for_grid_games, suited_to
+from upslope.tasks import FAMILIES, cartpoles, clean_maps, grid_games, obstacle_maps
+
+
+class TestSettings:
+    @pytest.mark.parametrize(
+        ("settings", "message"),
+        [
+            ({"size": (1, 1)}, "1 × 1 cells holds no start and goal"),
+            ({"size": (0, 8)}, "at least 2 cells"),
+            ({"obstacles": 1.0}, "obstacles is 1.0"),
+            ({"obstacles": float("nan")}, "obstacles is nan"),
+            ({"traps": -0.1}, "traps is -0.1"),
+            ({"slip": 1.5}, "slip is 1.5"),
+            ({"trap_penalty": -1.0}, "trap_penalty is -1.0"),
+            ({"trap_penalty": float("inf")}, "trap_penalty is inf"),
+            ({"gamma": 0.0}, "gamma is 0.0"),
+            ({"max_steps": 0}, "max_steps is 0"),
+            ({"maps": 0}, "maps is 0"),
+            ({"split": "train", "size": (2, 5)}, "too few maps to hold some out"),
+        ],
+        ids=str,
+    )
+    def test_bad_settings_are_refused(self, settings, message):
+        with pytest.raises(UpslopeError, match=message):
+            grid_games(**settings)
+
+    def test_the_papers_families(self):
+        clean, obstacles = clean_maps(), obstacle_maps()
+        assert clean.observation_shape == (10, 10, 4)
+        assert obstacles.observation_shape == (8, 8, 4)
+        for family in (clean, obstacles):
+            assert (family.actions, family.continuous, family.max_steps) == (4, False, 50)
+        assert FAMILIES["grid"] is grid_games
+
+    def test_traps_add_a_channel(self):
+        assert grid_games(traps=0.1).observation_shape == (8, 8, 5)
+        assert grid_games(traps=0.1, flat=True).observation_shape == (320,)
+
+    def test_equal_settings_make_equal_families(self):
+        assert grid_games() == grid_games()
+        assert hash(grid_games()) == hash(grid_games())
+        assert grid_games() != grid_games(slip=0.1)
+
+
+SHORT = grid_games((5, 5), max_steps=7, gamma=0.8)
+
+
+@pytest.fixture(scope="module")
+def collected():
+    tasks = draw(SHORT, 6)
+
+    def policy(key, obs):
+        return jax.random.randint(key, obs.shape[:1], 0, 4)
+
+    @jax.jit
+    def collect(key, tasks):
+        return SHORT.collect(key, tasks, SHORT.reset(key, tasks), policy, 100)[1]
+
+    return tasks, jax.tree.map(np.asarray, collect(jax.random.key(2), tasks))
+
+
+class TestCollecting:
+    def test_shapes(self, collected):
+        _, batch = collected
+        assert batch.obs.shape == batch.next_obs.shape == (6, 100, 5, 5, 4)
+        assert batch.reward.shape == batch.discount.shape == batch.action.shape == (6, 100)
+
+    def test_the_discount_is_zero_exactly_at_goals(self, collected):
+        tasks, batch = collected
+        arrived = batch.next_obs[..., POSITION].reshape(6, 100, 25).argmax(-1) == np.asarray(tasks.goal)[:, None]
+        assert arrived.any()
+        np.testing.assert_allclose(batch.discount, np.where(arrived, 0.0, 0.8), rtol=1e-6)
+        np.testing.assert_array_equal(batch.reward, arrived.astype(float))
+
+    def test_after_an_episode_one_acts_from_the_start_again(self, collected):
+        tasks, batch = collected
+        position = batch.obs[..., POSITION].reshape(6, 100, 25).argmax(-1)
+        following = batch.next_obs[..., POSITION].reshape(6, 100, 25).argmax(-1)
+        jumped = following[:, :-1] != position[:, 1:]
+        assert jumped.any()
+        starts = np.broadcast_to(np.asarray(tasks.start)[:, None], (6, 99))
+        np.testing.assert_array_equal(position[:, 1:][jumped], starts[jumped])
+
+    def test_the_return_of_an_episode_is_whether_the_goal_was_reached(self):
+        tasks = draw(clean_maps(), 50, seed=4)
+
+        def down_then_right(key, obs):
+            del key
+            rows = obs[..., POSITION].sum(2).argmax(1)
+            return np.int32(1) * (rows < 9) + np.int32(3) * (rows == 9)
+
+        returns = jax.jit(lambda key, tasks: clean_maps().returns(key, tasks, down_then_right))(
+            jax.random.key(0), tasks
+        )
+        row, column = np.divmod(np.asarray(tasks.start), 10)
+        goal_row, goal_column = np.divmod(np.asarray(tasks.goal), 10)
+        below = (goal_column == column) & (goal_row > row)
+        along = (goal_row == 9) & (goal_column > column)
+        np.testing.assert_array_equal(returns, (below | along).astype(float))
+        assert 0 < returns.sum() < 50
+
+
+class TestOnTheCommandLine:
+    def test_every_family_has_its_name(self):
+        assert Tasks().family("obstacles") == obstacle_maps("test")
+        assert Tasks().family("clean") == clean_maps("test", held_out="goals")
+        assert Tasks(size=(5, 6), traps=0.1).family("grid").observation_shape == (5, 6, 5)
+        assert Tasks(gamma=0.8).family("grid", split="train") == grid_games(gamma=0.8, split="train")
+        assert Tasks().family("cartpole").gamma == 0.98
+
+    def test_maps_have_neither_forces_nor_poles(self):
+        with pytest.raises(UpslopeError, match="use dqn"):
+            Tasks().family("grid", continuous=True)
+        with pytest.raises(UpslopeError, match="no pole"):
+            draw_task(Tasks().family("grid"), 1.0, 0)
+
+    def test_recipes(self):
+        assert recipe_for("cartpole") == MetaTrainingConfig()
+        assert recipe_for("grid") == recipe_for("obstacles") == for_grid_games()
+        assert recipe_for("clean") == for_grid_games(3000)
+
+    def test_families_in_code_have_the_same_ones(self):
+        assert suited_to(obstacle_maps()) == for_grid_games()
+        assert suited_to(cartpoles()) == MetaTrainingConfig()
+        assert suited_to(grid_games(flat=True)) == MetaTrainingConfig()
+
+
+@pytest.mark.slow
+def test_a_dqn_with_an_mlp_learns_one_map():
+    family = grid_games((4, 4), flat=True, maps=1, maps_seed=2)
+    task = family.sample(jax.random.key(0))
+    outcome = train(family, task, updates=600, every=300, config=DQNConfig(epsilon=0.5))
+    assert outcome.reports["return"][0, -1] == 1.0
