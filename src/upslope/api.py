@@ -152,7 +152,7 @@ def train(
         jax.random.key(seed)[None],
         updates=updates,
         every=every,
-        title="DDPG" if family.continuous else "DQN",
+        title="DDPG" if family.actions.kind == "continuous" else "DQN",
         session=session,
     )
 
@@ -165,7 +165,7 @@ def agent(
     Raises:
         UpslopeError: settings of the other kind of learner.
     """
-    if family.continuous:
+    if family.actions.kind == "continuous":
         if isinstance(config, DQNConfig):
             raise UpslopeError("DQN needs discrete actions, but these tasks have continuous ones: use DDPG.")
         return DDPG(family, task, shaping, config or DDPGConfig())
@@ -176,7 +176,7 @@ def agent(
 
 def _on_maps(family: AbstractFamily) -> bool:
     """Whether observations are maps, for which networks are convolutional and learners have settings of their own."""
-    return len(family.observation_shape) == 3
+    return family.recipe in ("images", "maps")
 
 
 def _shaping(family: AbstractFamily, potential: Potential | Prior | None) -> Shaping | None:

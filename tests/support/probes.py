@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from upslope.tasks import JaxTasks
+from upslope.tasks.actions import ContinuousActions, DiscreteActions
 
 PLACES, ACTIONS = 2, 2
 GAMMA = 0.8
@@ -151,7 +152,7 @@ class AlwaysChoices:
 
 def discrete_family() -> JaxTasks:
     """Of `ProbeTask`s; its own sampler draws `choices`."""
-    return _family(Probe(), AlwaysChoices(), actions=ACTIONS, continuous=False)
+    return _family(Probe(), AlwaysChoices(), actions=DiscreteActions(ACTIONS))
 
 
 @dataclass(frozen=True)
@@ -164,10 +165,10 @@ class RandomTargets:
 
 def continuous_family() -> JaxTasks:
     """Of `TargetTask`s."""
-    return _family(Target(), RandomTargets(), actions=1, continuous=True)
+    return _family(Target(), RandomTargets(), actions=ContinuousActions(1))
 
 
-def _family(env, sampler, *, actions, continuous) -> JaxTasks:
+def _family(env, sampler, *, actions) -> JaxTasks:
     return JaxTasks(
         name="probe",
         env=env,
@@ -176,8 +177,8 @@ def _family(env, sampler, *, actions, continuous) -> JaxTasks:
         observation_shape=(PLACES,),
         observation_scale=(1.0,) * PLACES,
         actions=actions,
-        continuous=continuous,
         max_steps=4,
+        recipe="vectors",
     )
 
 

@@ -12,6 +12,7 @@ from upslope.errors import UpslopeError
 from upslope.learners.dqn import DQNConfig
 from upslope.meta_training.recipes import MetaTrainingConfig, for_grid_games, suited_to
 from upslope.tasks import FAMILIES, cartpoles, clean_maps, grid_games, obstacle_maps
+from upslope.tasks.actions import DiscreteActions
 
 
 class TestSettings:
@@ -42,7 +43,7 @@ class TestSettings:
         assert clean.observation_shape == (10, 10, 4)
         assert obstacles.observation_shape == (8, 8, 4)
         for family in (clean, obstacles):
-            assert (family.actions, family.continuous, family.max_steps) == (4, False, 50)
+            assert (family.actions, family.max_steps) == (DiscreteActions(4), 50)
         assert FAMILIES["grid"] is grid_games
 
     def test_traps_add_a_channel(self):

@@ -18,6 +18,7 @@ from upslope.learners.policies import Deterministic, EpsilonGreedy, Greedy, Nois
 from upslope.networks.actor_critic import Actor
 from upslope.networks.dueling import DuelingQ, QNetwork
 from upslope.tasks import cartpoles
+from upslope.tasks.actions import ContinuousActions, DiscreteActions
 
 POLES = GymnasiumTasks(host.length, host.short_pole, 0.9, name="cartpole", observation_scale=host.SCALE)
 NETWORK = DuelingQ(jax.random.key(0), 4, 2, (8, 8), host.SCALE, "tanh")
@@ -220,13 +221,13 @@ class TestSpaces:
             return made[-1]
 
         family = GymnasiumTasks(lambda rng: 1, make, 0.5, max_steps=5)
-        assert (family.continuous, family.actions) == (True, 2)
+        assert family.actions == ContinuousActions(2)
         family.rollout(KEYS[0], family.sample_many(KEYS[1], 1), lambda key, obs: jnp.array([[1.0, -0.5]]), 2)
         np.testing.assert_allclose(made[-1].seen, [[2.0, -2.0]] * 2)
 
     def test_discrete_actions_that_start_elsewhere(self):
         family = lamps(actions=Discrete(3, start=5))
-        assert family.actions == 3
+        assert family.actions == DiscreteActions(3)
         batch = family.rollout(KEYS[0], family.sample_many(KEYS[1], 1), lambda key, obs: jnp.array([2]), 2)
         np.testing.assert_array_equal(batch.action, 2)
 

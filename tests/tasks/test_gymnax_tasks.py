@@ -12,6 +12,7 @@ from upslope.envs.time_steps import TimeStepEnvironment
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.recipes import MetaTrainingConfig
 from upslope.networks.dueling import ConvolutionalTorso
+from upslope.tasks.actions import ContinuousActions
 
 KEY = jax.random.key(0)
 SMALL = MetaTrainingConfig(tasks=2, steps_per_task=8, batch_size=4, hidden=(8,), outer_updates=1, evaluation_tasks=2)
@@ -89,7 +90,7 @@ class TestByHand:
 
     def test_continuous_actions_are_brought_to_the_bounds(self):
         family = counting(push=4.0)
-        assert (family.continuous, family.actions) == (True, 1)
+        assert family.actions == ContinuousActions(1)
         batch = rollout(family, lambda key, obs: jnp.full((len(obs), 1), 0.5), 1)
         np.testing.assert_array_equal(batch.next_obs[0, 0, 0], 3)
 
@@ -137,7 +138,7 @@ class TestGymnax:
     def test_true_successors_and_ends(self, name, shape, actions):
         """Each transition against gymnax's own step without the automatic reset."""
         env, family = self.family(name, max_steps_in_episode=30)
-        assert (family.observation_shape, family.actions, family.max_steps) == (shape, actions, 30)
+        assert (family.observation_shape, family.actions.count, family.max_steps) == (shape, actions, 30)
         params = family.sample(KEY)
 
         @jax.jit
@@ -223,7 +224,7 @@ class TestXMiniGrid:
         return upslope.gymnax_tasks(TimeStepEnvironment(env), rules, 0.95)
 
     def test_tasks_end_where_their_goal_is_reached_or_time_is_up(self, family):
-        assert (family.observation_shape, family.actions, family.max_steps) == ((5, 5, 2), 6, 25)
+        assert (family.observation_shape, family.actions.count, family.max_steps) == ((5, 5, 2), 6, 25)
         batch = rollout(family, randomly(6), 200, tasks=8)
         reward, discount = np.asarray(batch.reward), np.asarray(batch.discount)
         np.testing.assert_array_equal(reward > 0, discount == 0)

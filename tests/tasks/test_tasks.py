@@ -13,6 +13,7 @@ from upslope.learners.policies import EpsilonGreedy, Greedy
 from upslope.networks.dueling import DuelingQ
 from upslope.priors.potentials import stack
 from upslope.tasks import cartpoles
+from upslope.tasks.actions import ContinuousActions, DiscreteActions
 
 
 def pole(length):
@@ -52,12 +53,12 @@ class TestSettings:
         family = cartpoles()
         task = family.sample(jax.random.key(0))
         assert float(task.angle_limit) == pytest.approx(15 * np.pi / 180)
-        assert (family.actions, family.continuous, family.max_steps, family.observation_shape) == (2, False, 200, (4,))
+        assert (family.actions, family.max_steps, family.observation_shape) == (DiscreteActions(2), 200, (4,))
 
     def test_the_continuous_twin_shares_the_name_and_the_tasks(self):
         discrete, continuous = cartpoles(), cartpoles(continuous=True)
         assert discrete.name == continuous.name
-        assert (continuous.actions, continuous.continuous) == (1, True)
+        assert continuous.actions == ContinuousActions(1)
         assert_trees_identical(discrete.sample(jax.random.key(3)), continuous.sample(jax.random.key(3)))
 
 
@@ -212,7 +213,7 @@ class TestFamilyOfOne:
 
     def test_all_else_is_as_before(self):
         family = SHORT.only(self.task)
-        for name in ("name", "gamma", "observation_shape", "observation_scale", "actions", "continuous", "max_steps"):
+        for name in ("name", "gamma", "observation_shape", "observation_scale", "actions", "max_steps"):
             assert getattr(family, name) == getattr(SHORT, name)
 
     def test_families_of_one_stack(self):

@@ -104,7 +104,7 @@ def shaping_panel(
         score: what the returns are.
     """
     count = jax.tree.leaves(tasks)[0].shape[0]
-    purpose = Purpose.RIGHT if family.continuous else Purpose.MIDDLE
+    purpose = {"discrete": Purpose.MIDDLE, "continuous": Purpose.RIGHT}[family.actions.kind]
     finished: dict[str, Arm] = {}
     compiling = running = 0.0
     for name, shaping in arms.items():

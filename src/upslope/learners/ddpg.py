@@ -75,7 +75,7 @@ class DDPG(AbstractTaskLearner):
     def init(self, key: Key) -> DDPGState:
         key, actor_key, critic_key, start_key, warmup_key = jax.random.split(key, 5)
         family, config = self.family, self.config
-        sizes = (family.observation_shape, family.actions, config.hidden, family.observation_scale)
+        sizes = (family.observation_shape, family.actions.count, config.hidden, family.observation_scale)
         actor, critic = Actor(actor_key, *sizes), Critic(critic_key, *sizes)
         experience = Experience.start(start_key, family, self.task, config.replay_capacity, self.shaping)
         experience, _ = experience.extend(

@@ -94,7 +94,7 @@ class DQN(AbstractTaskLearner):
         network = QNetwork(
             network_key,
             self.family.observation_shape,
-            self.family.actions,
+            self.family.actions.count,
             self.config.hidden,
             self.family.observation_scale,
         )

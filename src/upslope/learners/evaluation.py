@@ -1,5 +1,7 @@
 """What a learner of one task reports: how well its greedy policy does, by the raw rewards."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
@@ -8,7 +10,6 @@ from upslope.learners.policies import Greedy
 from upslope.planning.exact import tabulate
 from upslope.planning.measures import episode_values
 from upslope.tasks.family import AbstractFamily
-from upslope.tasks.jax_tasks import JaxTasks, is_finite
 from upslope.types import Key, Scalar, Task
 
 
@@ -18,15 +19,15 @@ def greedy_report(key: Key, family: AbstractFamily, task: Task, policy: Greedy, 
     In finite tasks it is exact, from the policy in every state, and the ``discounted_return`` comes with it; elsewhere
     it is the mean of some fresh episodes.
     """
-    if is_finite(family):
+    if family.lists_states:
         return exact_report(family, task, policy)
     return {"return": greedy_return(key, family, task, policy, episodes)}
 
 
-def exact_report(family: JaxTasks, task: Task, policy: Greedy) -> dict[str, Scalar]:
+def exact_report(family: Any, task: Task, policy: Greedy) -> dict[str, Scalar]:
     """The expected returns of one episode of a finite task, from its start. Nothing is sampled."""
     mdp = tabulate(family.env, task, family.gamma)
-    scores = jax.vmap(policy.network)(family.env.observe_all(task))
-    greedy = jax.nn.one_hot(jnp.argmax(scores, axis=-1), family.actions)
+    scores = jax.vmap(policy.network)(family.all_observations(task))
+    greedy = jax.nn.one_hot(jnp.argmax(scores, axis=-1), family.actions.count)
     raw, discounted = episode_values(mdp, greedy, family.max_steps)
     return {"return": raw[task.start], "discounted_return": discounted[task.start]}

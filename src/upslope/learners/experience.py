@@ -36,9 +36,8 @@ class Experience(eqx.Module):
         cls, key: Key, family: AbstractFamily, task: Task, capacity: int, shaping: Shaping | None = None
     ) -> "Experience":
         """A fresh environment and an empty replay."""
-        action = jnp.zeros((family.actions,)) if family.continuous else jnp.zeros((), jnp.int32)
         obs = jnp.zeros(family.observation_shape)
-        example = Transition(obs, action, jnp.zeros(()), jnp.zeros(()), obs)
+        example = Transition(obs, family.actions.zeros(xp=jnp), jnp.zeros(()), jnp.zeros(()), obs)
         record = Record(example, None if shaping is None else jnp.zeros(()))
         return cls(family.reset(key, _alone(task)), Replay.empty(record, capacity))
 

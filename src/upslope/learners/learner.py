@@ -85,7 +85,7 @@ def in_turn(learner: AbstractLearner) -> bool:
     On CPUs convolutional ones do: side by side their patches fall out of the caches, and an update costs 1.4 times as
     much. Small networks want the opposite.
     """
-    on_maps = isinstance(learner, AbstractTaskLearner) and len(learner.family.observation_shape) == 3
+    on_maps = isinstance(learner, AbstractTaskLearner) and learner.family.recipe in ("images", "maps")
     return on_maps and jax.default_backend() == "cpu"
 
 

@@ -9,8 +9,6 @@ from jaxtyping import Array, Float
 
 from upslope.learners.policies import AbstractPolicy
 from upslope.networks.dueling import DuelingQ
-from upslope.tasks.family import AbstractFamily
-from upslope.tasks.jax_tasks import is_finite
 from upslope.types import Policy, Scalar, Task
 
 #: A state's scores among those of all states cost a third of what they cost alone (the paper's network, CPU).
@@ -63,16 +61,16 @@ class DuelingLookup(eqx.Module):
 Asked = DuelingQ | DuelingLookup
 
 
-def looked_up(family: AbstractFamily, task: Task, network: DuelingQ) -> DuelingLookup | None:
+def looked_up(family: Any, task: Task, network: DuelingQ) -> DuelingLookup | None:
     """The network in every state of one task; None where states can't be listed."""
-    if not is_finite(family):
+    if not family.lists_states:
         return None
     return DuelingLookup(family.env, *jax.vmap(network.heads)(family.env.observe_all(task)))
 
 
-def looking_up(family: AbstractFamily, task: Task, policy: Policy, steps: int) -> Policy:
+def looking_up(family: Any, task: Task, policy: Policy, steps: int) -> Policy:
     """The same policy; in a finite task its scores are computed once for all states, where that is cheaper."""
-    if not (isinstance(policy, AbstractPolicy) and is_finite(family)):
+    if not (isinstance(policy, AbstractPolicy) and family.lists_states):
         return policy
     observations = family.env.observe_all(task)
     if len(observations) > _CHEAPER_TOGETHER * steps:

@@ -21,7 +21,7 @@ from upslope.meta_training.finite_posterior import FiniteSamples, collect_steps,
 from upslope.meta_training.recipes import MetaTrainingConfig
 from upslope.networks.dueling import DuelingQ, with_convolutions
 from upslope.tasks.family import AbstractFamily
-from upslope.tasks.jax_tasks import JaxTasks, is_finite
+from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Key, Metrics, Scalar, Transition
 
 
@@ -75,23 +75,23 @@ class MetaTraining(AbstractTaskLearner):
     def init(self, key: Key) -> MetaTrainingState:
         key, trial_key, network_key = jax.random.split(key, 3)
         family, config = self.family, self.config
-        if family.continuous:
+        if family.actions.kind == "continuous":
             raise UpslopeError(
                 f"{family.name} tasks have continuous actions, of which Algorithm 1 has no Q: meta-train on a family "
                 "with discrete ones and the same observations; its V shapes the rewards of any learner."
             )
-        if config.posterior != "network" and not is_finite(family):
+        if config.posterior != "network" and not family.lists_states:
             raise UpslopeError(f'{family.name} tasks are not finite, as that needs: set posterior="network".')
         theta = DuelingQ(
             network_key,
             family.observation_shape,
-            family.actions,
+            family.actions.count,
             config.hidden,
             family.observation_scale,
             config.activation,
         )
         theta = with_convolutions(theta, config.precision)
-        acting = theta if self.family.on_host else None
+        acting = theta if self.family.engine == "host" else None
         return MetaTrainingState(key, trial_key, theta, theta, theta, self._optimiser().init(theta), acting)
 
     def gather(self, state: MetaTrainingState) -> Transition | FiniteSamples:

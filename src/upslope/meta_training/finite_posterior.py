@@ -83,7 +83,7 @@ def collect_steps(
     number = jax.vmap(jax.vmap(family.env.state_number))
     found = (number(seen.obs), seen.action, seen.reward, seen.discount, number(seen.next_obs))
     state, action, reward, discount, successor = (leaf.reshape(count, copies * steps) for leaf in found)
-    sizes = (observations.shape[1], family.actions)
+    sizes = (observations.shape[1], family.actions.count)
     share = jax.vmap(lambda state, action: 1 / jnp.zeros(sizes).at[state, action].add(1.0)[state, action])(
         state, action
     )

@@ -10,7 +10,6 @@ from upslope.errors import UpslopeError
 from upslope.networks.convolution import Precision
 from upslope.networks.dueling import Activation
 from upslope.tasks.family import AbstractFamily
-from upslope.tasks.jax_tasks import is_finite
 
 
 @dataclass(frozen=True)
@@ -175,7 +174,7 @@ ITERATIONS = {"obstacles": 8000, "clean": 3000}
 
 def suited_to(family: AbstractFamily) -> MetaTrainingConfig:
     """The recipe for a family: that of grid games where tasks are finite and observations maps, else CartPole's."""
-    return for_grid_games() if is_finite(family) and len(family.observation_shape) == 3 else MetaTrainingConfig()
+    return for_grid_games() if family.recipe == "maps" else MetaTrainingConfig()
 
 
 def for_grid_games(iterations: int = ITERATIONS["obstacles"]) -> MetaTrainingConfig:

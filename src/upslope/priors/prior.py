@@ -56,7 +56,13 @@ class Prior:
             ("the observation shape", trained.observation_shape, family.observation_shape),
         ]
         if acting:
-            pairs.append(("the number of actions", trained.actions, 0 if family.continuous else family.actions))
+            pairs.append(
+                (
+                    "the number of actions",
+                    trained.actions,
+                    {"discrete": family.actions.count, "continuous": 0}[family.actions.kind],
+                )
+            )
         for what, ours, theirs in pairs:
             if ours != theirs:
                 raise UpslopeError(
@@ -97,7 +103,7 @@ def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: d
         gamma=family.gamma,
         observation_shape=family.observation_shape,
         observation_scale=family.observation_scale,
-        actions=family.actions,
+        actions=family.actions.count,
         hidden=network.torso.hidden,
         activation=network.torso.activation,
         seed=seed,

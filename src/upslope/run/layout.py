@@ -17,7 +17,7 @@ from upslope.types import Keys
 def laid_out(learners: AbstractLearner, keys: Keys) -> tuple[Any, AbstractLearner, Keys]:
     """What drives the learners; the learners and their keys with one axis for all batch axes, padded and in place."""
     batch, count = keys.shape, math.prod(keys.shape)
-    on_host = isinstance(learners, AbstractTaskLearner) and learners.family.on_host
+    on_host = isinstance(learners, AbstractTaskLearner) and learners.family.engine == "host"
     engine: Any = host_chunks if on_host else chunks
 
     def flatten(leaf: Any) -> Any:

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from upslope.envs.cartpole import CartPole, CartPoleParams
 from upslope.errors import UpslopeError
+from upslope.tasks.actions import ContinuousActions, DiscreteActions
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Key
 
@@ -78,7 +79,7 @@ def cartpoles(
         gamma=gamma,
         observation_shape=(4,),
         observation_scale=env.observation_scale,
-        actions=env.actions,
-        continuous=continuous,
+        actions=ContinuousActions(1) if continuous else DiscreteActions(2),
         max_steps=max_steps,
+        recipe="vectors",
     )

@@ -2,15 +2,14 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from upslope.types import Key, Policy, Task, Transition
-
-Running = TypeVar("Running")
+from upslope.tasks.actions import Actions
+from upslope.types import Key, Observation, Policy, Task, Transition
 
 
 class AbstractFamily(eqx.Module):
@@ -24,21 +23,42 @@ class AbstractFamily(eqx.Module):
         gamma: γ of every task, written nowhere else.
         observation_shape: of one observation.
         observation_scale: brings each observation to the order of one.
-        actions: how many discrete actions, or how many numbers in a continuous one.
-        continuous: whether actions are numbers in [−1, 1].
+        actions: their kind and number.
         max_steps: the longest episode.
-        on_host: whether environments run in Python, so that experience can't be gathered inside a compiled program.
+        recipe: the name of the settings that suit the family, of meta-training and of learners.
+        lists_states: whether all states of a task can be listed, so that tables and exact planning fit it.
+        engine: how experience is collected: "compiled" into the learner's own program, or on the "host", in Python.
     """
 
-    on_host: eqx.AbstractClassVar[bool]
+    engine: eqx.AbstractClassVar[Literal["compiled", "host"]]
 
     name: eqx.AbstractVar[str]
     gamma: eqx.AbstractVar[float]
     observation_shape: eqx.AbstractVar[tuple[int, ...]]
     observation_scale: eqx.AbstractVar[tuple[float, ...]]
-    actions: eqx.AbstractVar[int]
-    continuous: eqx.AbstractVar[bool]
+    actions: eqx.AbstractVar[Actions]
     max_steps: eqx.AbstractVar[int]
+    recipe: eqx.AbstractVar[str]
+
+    @property
+    @abstractmethod
+    def lists_states(self) -> bool: ...
+
+    @abstractmethod
+    def all_observations(self, task: Task) -> Float[Array, "states *obs"]:
+        """The observation of every state of one task.
+
+        Raises:
+            UpslopeError: states can't be listed.
+        """
+
+    @abstractmethod
+    def state_number(self, obs: Observation) -> Int[Array, ""]:
+        """The number of the state that an observation shows: its place in `all_observations`.
+
+        Raises:
+            UpslopeError: states can't be listed.
+        """
 
     @abstractmethod
     def sample(self, key: Key) -> Task:
@@ -71,3 +91,8 @@ class AbstractFamily(eqx.Module):
     def sample_many(self, key: Key, count: int) -> Task:
         """Draws ``count`` tasks as one stacked PyTree ``[count, ...]``."""
         return jax.vmap(self.sample)(jax.random.split(key, count))
+
+
+def recipe_of(observation_shape: tuple[int, ...]) -> str:
+    """The recipe for observations of a shape: that of "images" ``(height, width, channels)``, or of "vectors"."""
+    return {1: "vectors", 3: "images"}[len(observation_shape)]

@@ -12,6 +12,7 @@ from upslope.compiler_options import QUICK_TO_RUN
 from upslope.envs.grid import GridGame, GridParams
 from upslope.envs.grid_rules import check_settings
 from upslope.errors import UpslopeError
+from upslope.tasks.actions import DiscreteActions
 from upslope.tasks.grid_maps import HeldOut, RandomMaps, Split
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Key
@@ -75,9 +76,9 @@ def grid_games(
         gamma=gamma,
         observation_shape=env.observation_shape,
         observation_scale=(1.0,) * env.observation_shape[-1],
-        actions=env.actions,
-        continuous=False,
+        actions=DiscreteActions(env.actions),
         max_steps=max_steps,
+        recipe="vectors" if flat else "maps",
     )
     if maps is None:
         return family

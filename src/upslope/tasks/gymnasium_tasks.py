@@ -1,7 +1,7 @@
 """Families of Gymnasium environments: a sampler of tasks, and a factory that makes an environment from a task."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import gymnasium as gym
@@ -14,11 +14,12 @@ from upslope.errors import UpslopeError
 from upslope.rollouts.host_environments import Episodes, HostEnvironments, Mode
 from upslope.rollouts.task_slot import made
 from upslope.tasks.abstract_evaluation import evaluated_abstractly
-from upslope.tasks.family import AbstractFamily
+from upslope.tasks.actions import Actions, ContinuousActions, DiscreteActions
+from upslope.tasks.family import AbstractFamily, recipe_of
 from upslope.tasks.host_acting import acting, reset_and_act, seed_of
 from upslope.tasks.observation_scale import scale_of
 from upslope.tasks.task_protocol import of_protocol
-from upslope.types import Acting, Key, Policy, Task, Transition
+from upslope.types import Acting, Key, Observation, Policy, Task, Transition
 
 
 class RunningHost(eqx.Module):
@@ -43,15 +44,15 @@ class GymnasiumTasks(AbstractFamily):
         environments: made so far; `close` closes them.
     """
 
-    on_host: ClassVar[bool] = True
+    engine: ClassVar[Literal["compiled", "host"]] = "host"
 
     name: str = eqx.field(static=True)
     gamma: float = eqx.field(static=True)
     observation_shape: tuple[int, ...] = eqx.field(static=True)
     observation_scale: tuple[float, ...] = eqx.field(static=True)
-    actions: int = eqx.field(static=True)
-    continuous: bool = eqx.field(static=True)
+    actions: Actions = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
+    recipe: str = eqx.field(static=True)
     sample_task: Callable[[np.random.Generator], Any] = eqx.field(static=True)
     environments: HostEnvironments = eqx.field(static=True)
 
@@ -91,9 +92,9 @@ class GymnasiumTasks(AbstractFamily):
         space: Any = env.observation_space
         actions: Any = env.action_space
         self.name = name or (env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
-        self.continuous = isinstance(actions, gym.spaces.Box)
-        self.actions = int(actions.shape[0]) if self.continuous else int(actions.n)
+        self.actions = _kind(actions)
         self.observation_shape = tuple(space.shape)
+        self.recipe = recipe_of(self.observation_shape)
         self.observation_scale = scale_of(space.low, space.high, observation_scale)
         self.max_steps = _limit(env, max_steps)
         env.close()
@@ -113,6 +114,16 @@ class GymnasiumTasks(AbstractFamily):
             UpslopeError: the environment has no such methods, or draws other tasks for the same seed.
         """
         return cls(*of_protocol(make_env), gamma, **settings)
+
+    @property
+    def lists_states(self) -> bool:
+        return False
+
+    def all_observations(self, task: Task) -> Float[Array, "states *obs"]:
+        raise UpslopeError(_UNLISTED)
+
+    def state_number(self, obs: Observation) -> Int[Array, ""]:
+        raise UpslopeError(_UNLISTED)
 
     def sample(self, key: Key) -> Task:
         return jax.random.key_data(key)
@@ -143,7 +154,7 @@ class GymnasiumTasks(AbstractFamily):
         if not self.environments.knows(number, len(tasks)):  # from a checkpoint: episodes can't be restored
             running = self.reset(key, tasks)
             number = int(running.number)
-        act = acting(policy, key, len(tasks), self.actions, steps)()
+        act = acting(policy, key, len(tasks), self.actions.count, steps)()
         transitions = self._play(self.environments.go_on(number), act, steps)
         return RunningHost(jnp.asarray(number, jnp.int32)), transitions
 
@@ -154,7 +165,7 @@ class GymnasiumTasks(AbstractFamily):
 
     def rollout_later(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Callable[[], Transition]:
         reset_words, act_key = reset_and_act(key)
-        act = acting(policy, act_key, len(tasks), self.actions, steps)
+        act = acting(policy, act_key, len(tasks), self.actions.count, steps)
 
         def play() -> Transition:
             episodes = self.environments.fresh(self._tasks(tasks), seed_of(reset_words))
@@ -167,7 +178,7 @@ class GymnasiumTasks(AbstractFamily):
             return jnp.zeros(len(tasks))
         reset_words, act_key = reset_and_act(key)
         episodes = self.environments.fresh(self._tasks(tasks), seed_of(reset_words))
-        act = acting(policy, act_key, len(tasks), self.actions, self.max_steps)()
+        act = acting(policy, act_key, len(tasks), self.actions.count, self.max_steps)()
         alive, total = np.ones(len(tasks), bool), np.zeros(len(tasks), np.float32)
         for step in range(self.max_steps):
             rewards, terminated, truncated, _ = episodes.step(act(step, episodes.obs))
@@ -198,8 +209,7 @@ class GymnasiumTasks(AbstractFamily):
         """Transitions of zeros ``[rows, columns, ...]``."""
         numbers = xp.zeros((rows, columns), np.float32)
         obs = xp.zeros((rows, columns, *self.observation_shape), np.float32)
-        actions = (rows, columns, self.actions), np.float32
-        action = xp.zeros(*actions) if self.continuous else numbers.astype(np.int32)
+        action = self.actions.zeros(rows, columns, xp=xp)
         return Transition(obs, action, numbers, xp.zeros_like(numbers), xp.zeros_like(obs))
 
     def _tasks(self, tasks: Task) -> list[Any]:
@@ -211,6 +221,14 @@ class GymnasiumTasks(AbstractFamily):
             )
         sample = self.sample_task  # looked up once: a module's attributes cost more than a draw
         return [_drawn(sample, row) for row in words]
+
+
+_UNLISTED = "The states of Gymnasium environments can't be listed."
+
+
+def _kind(space: Any) -> Actions:
+    """The kind of action of a fitted space: a box of one axis, or a discrete one."""
+    return ContinuousActions(space.shape[0]) if space.shape else DiscreteActions(int(space.n))
 
 
 def _drawn(sample: Callable[[np.random.Generator], Any], words: np.ndarray) -> Any:

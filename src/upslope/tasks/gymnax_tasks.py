@@ -11,6 +11,8 @@ import numpy as np
 
 from upslope.envs.fitted import FittedEnvironment
 from upslope.errors import UpslopeError
+from upslope.tasks.actions import Actions, ContinuousActions, DiscreteActions
+from upslope.tasks.family import recipe_of
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.tasks.observation_scale import scale_of
 from upslope.types import Key, Task
@@ -79,22 +81,22 @@ def gymnax_tasks(
         observation_shape=shape,
         observation_scale=_scale(env.observation_space(params), shape, observation_scale),
         actions=actions,
-        continuous=action_shape is not None,
         max_steps=_limit(params, max_steps),
+        recipe=recipe_of(shape),
     )
 
 
-def _actions(env: Any, params: Any) -> tuple[int, tuple[int, ...] | None]:
-    """How many actions or numbers in one, and the shape of a continuous action, None for discrete ones."""
+def _actions(env: Any, params: Any) -> tuple[Actions, tuple[int, ...] | None]:
+    """The kind of the actions, and the shape of a continuous one, None for discrete ones."""
     space = env.action_space(params)
     if hasattr(space, "n"):
-        return int(space.n), None
+        return DiscreteActions(int(space.n)), None
     bounds = [np.asarray(getattr(space, side, np.nan), np.float64) for side in ("low", "high")]
     if not all(np.isfinite(bound).all() for bound in bounds):
         raise UpslopeError(
             f"Actions of {space!r} are not supported: use a discrete space, or a box with finite bounds."
         )
-    return math.prod(space.shape), tuple(space.shape)
+    return ContinuousActions(math.prod(space.shape)), tuple(space.shape)
 
 
 def _check_signature(env: Any, params: Any, action_shape: tuple[int, ...] | None) -> Any:

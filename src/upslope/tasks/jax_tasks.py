@@ -2,15 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar, TypeGuard
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from upslope.errors import UpslopeError
+from upslope.tasks.actions import Actions
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Key, Keys, Policy, Task, Transition
+from upslope.types import Key, Keys, Observation, Policy, Task, Transition
 
 
 class RunningEnvironments(eqx.Module):
@@ -43,7 +45,7 @@ class JaxTasks(AbstractFamily):
         sample_params: draws one task. A plain function, or a module with array leaves.
     """
 
-    on_host: ClassVar[bool] = False
+    engine: ClassVar[Literal["compiled", "host"]] = "compiled"
 
     name: str = eqx.field(static=True)
     env: Any = eqx.field(static=True)
@@ -51,9 +53,24 @@ class JaxTasks(AbstractFamily):
     gamma: float = eqx.field(static=True)
     observation_shape: tuple[int, ...] = eqx.field(static=True)
     observation_scale: tuple[float, ...] = eqx.field(static=True)
-    actions: int = eqx.field(static=True)
-    continuous: bool = eqx.field(static=True)
+    actions: Actions = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
+    recipe: str = eqx.field(static=True)
+
+    @property
+    def lists_states(self) -> bool:
+        return hasattr(self.env, "observe_all")
+
+    def all_observations(self, task: Task) -> Float[Array, "states *obs"]:
+        return self._listed().observe_all(task)
+
+    def state_number(self, obs: Observation) -> Int[Array, ""]:
+        return self._listed().state_number(obs)
+
+    def _listed(self) -> Any:
+        if not self.lists_states:
+            raise UpslopeError(f"The states of {self.name} tasks can't be listed: env has no observe_all.")
+        return self.env
 
     def sample(self, key: Key) -> Task:
         return self.sample_params(key)
@@ -118,11 +135,6 @@ def _ahead(keys: Keys, policy: Policy, obs: Float[Array, "n *obs"]) -> tuple[tup
     step_keys = jax.vmap(lambda key: jax.random.split(key, obs.shape[0]))(step_keys)
     noise, act = policy.ahead(act_keys, obs) if hasattr(policy, "ahead") else (act_keys, policy)
     return (noise, step_keys), act
-
-
-def is_finite(family: AbstractFamily) -> TypeGuard[JaxTasks]:
-    """Whether all states of a task can be listed, so that tables fit it: its environment has ``observe_all``."""
-    return isinstance(family, JaxTasks) and hasattr(family.env, "observe_all")
 
 
 def _count(tasks: Task) -> int:

@@ -175,7 +175,7 @@ def on_a_network(
         return *distances(truth, Tables(advantage, value)), right
 
     def one_run(key: Key, ratio: Array) -> tuple[Array, Array, Array]:
-        start = DuelingQ(key, family.observation_shape[0], family.actions, HIDDEN)
+        start = DuelingQ(key, family.observation_shape[0], family.actions.count, HIDDEN)
 
         def some_updates(network: DuelingQ, _: None) -> tuple[DuelingQ, tuple[Array, Array, Array]]:
             following = jax.lax.fori_loop(0, every, lambda _, phi: pair(phi, ratio), network)
@@ -199,8 +199,8 @@ def on_a_network(
 def every_transition(family: Any, task: Any, truth: Truth, states: np.ndarray) -> Transition:
     """Each action once in each of the states, without slipping, as one batch."""
     observations = family.env.observe_all(task)
-    actions = jnp.tile(jnp.arange(family.actions), len(states))
-    here = jnp.repeat(jnp.asarray(states), family.actions)
+    actions = jnp.tile(jnp.arange(family.actions.count), len(states))
+    here = jnp.repeat(jnp.asarray(states), family.actions.count)
     mdp = truth.mdp
     return Transition(
         observations[here],

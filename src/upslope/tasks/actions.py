@@ -1,0 +1,43 @@
+"""The kinds of action that tasks have."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class DiscreteActions:
+    """The integers from 0 to ``count`` − 1.
+
+    Attributes:
+        count: how many there are.
+    """
+
+    kind: ClassVar[str] = "discrete"
+
+    count: int
+
+    def zeros(self, *batch: int, xp: Any = np) -> Any:
+        """Actions of zero ``[*batch]``, as NumPy's or jax.numpy's (``xp``) 32-bit integers."""
+        return xp.zeros(batch, np.int32)
+
+
+@dataclass(frozen=True)
+class ContinuousActions:
+    """Vectors of ``count`` numbers in [−1, 1].
+
+    Attributes:
+        count: how many numbers there are in one action.
+    """
+
+    kind: ClassVar[str] = "continuous"
+
+    count: int
+
+    def zeros(self, *batch: int, xp: Any = np) -> Any:
+        """Actions of zero ``[*batch, count]``, in float32, as arrays of NumPy or jax.numpy (``xp``)."""
+        return xp.zeros((*batch, self.count), np.float32)
+
+
+Actions = DiscreteActions | ContinuousActions
