@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.convolution import ON_GPUS, Precision
 from upslope.networks.convolution_forms import FORMS
 from upslope.networks.dueling import DuelingQ

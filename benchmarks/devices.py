@@ -22,7 +22,7 @@ from benchmarks.harness import Bar, Part, Row
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.learners.sharing import most_devices
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
 from upslope.tasks import cartpoles

@@ -23,7 +23,7 @@ from benchmarks.harness import Bar, Part, Row, number
 from upslope.equations.shaping import potential_based
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.priors.potentials import mean_potential, stack
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast, run

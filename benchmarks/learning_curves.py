@@ -12,7 +12,7 @@ from benchmarks.going import Going
 from benchmarks.harness import Bar
 from benchmarks.peers.numpy_cartpoles import greedy_returns, numpy_advantages, weights_of
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.loop import broadcast
 from upslope.tasks import cartpoles
 

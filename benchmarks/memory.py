@@ -28,7 +28,7 @@ from benchmarks.harness import Row
 from upslope.equations.maml import gradient_task_by_task
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.algorithm1 import MetaTraining, TaskSamples
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
 from upslope.tasks import cartpoles, clean_maps

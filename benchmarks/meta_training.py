@@ -17,7 +17,7 @@ from benchmarks import harness, learning_curves
 from benchmarks.compile_costs import WAITED, Forgetful
 from benchmarks.harness import Bar, Part, Row, number
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast, run
 from upslope.tasks import cartpoles

@@ -14,7 +14,8 @@ from benchmarks import harness
 from benchmarks.going import Going
 from benchmarks.harness import Bar, Part, Row
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig, for_grid_games
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import for_grid_games
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
 from upslope.tasks import cartpoles, grid_games

@@ -24,7 +24,7 @@ from upslope import storage
 from upslope.api import adapt, meta_train, train
 from upslope.envs.cartpole import CartPole
 from upslope.errors import InterruptedRunError
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.dueling import DuelingQ
 from upslope.priors.prior import Prior, trained_on
 from upslope.run.checkpoints import FORMAT_VERSION, KIND, Checkpoints

@@ -14,7 +14,7 @@ from torch.func import functional_call, grad, vmap
 from benchmarks.peers.numpy_cartpoles import CartPoles, numpy_advantages
 from benchmarks.peers.plain_meta_training import Batch, move, outer_step_size, taken
 from benchmarks.peers.torch_networks import DuelingMLP
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 
 Params = dict[str, torch.Tensor]
 

@@ -13,7 +13,7 @@ from torch.func import functional_call
 
 import upslope  # noqa: F401 (registers the environment)
 from benchmarks.peers.torch_networks import DuelingMLP
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 
 
 class Batch(NamedTuple):

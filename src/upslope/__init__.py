@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from upslope.api import adapt, meta_train, train
     from upslope.checking import check_shaping
     from upslope.errors import UpslopeError
-    from upslope.meta_training.recipes import MetaTrainingConfig
+    from upslope.meta_training.config import MetaTrainingConfig
     from upslope.priors.numpy_potential import NumpyPotential
     from upslope.priors.pretrained import load_prior, prior_path
     from upslope.priors.prior import Prior
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "GymnasiumTasks": "upslope.tasks",
     "Checkpoints": "upslope.run.checkpoints",
-    "MetaTrainingConfig": "upslope.meta_training.recipes",
+    "MetaTrainingConfig": "upslope.meta_training.config",
     "NumpyPotential": "upslope.priors.numpy_potential",
     "PotentialShaping": "upslope.wrappers",
     "Prior": "upslope.priors.prior",

@@ -16,7 +16,8 @@ from upslope.learners import dqn
 from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig, suited_to
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import suited_to
 from upslope.priors.prior import Prior, trained_on
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome

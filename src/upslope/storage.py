@@ -95,7 +95,7 @@ def write_atomically(path: Path, data: bytes) -> None:
         ) from error
 
 
-def read(path: Path, kind: str, version: int) -> Stored:
+def read(path: Path, kind: str, *versions: int) -> Stored:
     """Reads what `write` wrote, and checks every byte of it.
 
     Raises:
@@ -103,7 +103,7 @@ def read(path: Path, kind: str, version: int) -> Stored:
     """
     try:
         metadata = _metadata(path)
-        _check_kind(path, metadata, kind, version)
+        _check_kind(path, metadata, kind, versions)
         if metadata.get("digest") != _digest(metadata):
             raise DamagedFileError(f"{path} is damaged: its header does not match the header's own checksum.")
         checksums = json.loads(metadata["checksums"])
@@ -144,12 +144,12 @@ def _metadata(path: Path) -> dict[str, str]:
     return metadata
 
 
-def _check_kind(path: Path, metadata: dict[str, str], kind: str, version: int) -> None:
+def _check_kind(path: Path, metadata: dict[str, str], kind: str, versions: tuple[int, ...]) -> None:
     if metadata.get("format") != kind:
         raise DamagedFileError(f"{path} is no {kind} file, but {metadata.get('format', 'something foreign')!r:.60}.")
-    if metadata.get("format_version") != str(version):
+    if metadata.get("format_version") not in [str(version) for version in versions]:
         raise DamagedFileError(
-            f"{path} has format {metadata.get('format_version')!r:.20}, but this upslope reads format {version}: "
+            f"{path} has format {metadata.get('format_version')!r:.20}, but this upslope reads format {versions[-1]}: "
             "install the version of upslope that wrote it."
         )
 

@@ -6,7 +6,8 @@ import pytest
 
 from upslope.cli.commands import MetaTrain
 from upslope.cli.main import main, parse
-from upslope.meta_training.recipes import MetaTrainingConfig, for_grid_games
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import for_grid_games
 from upslope.priors.prior import Prior
 
 

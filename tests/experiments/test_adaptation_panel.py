@@ -11,7 +11,7 @@ from upslope.adaptation.algorithm2 import AdaptationConfig
 from upslope.experiments import adaptation_panel as module
 from upslope.experiments.adaptation_panel import RULES, AdaptationPanel, Tuning, adaptation_panel
 from upslope.experiments.priors import Priors, blank_priors
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.outcome import Outcome
 from upslope.tasks import cartpoles
 

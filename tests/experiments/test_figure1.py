@@ -17,7 +17,7 @@ from upslope.experiments.report import findings, print_summary, write_report
 from upslope.experiments.results import FigureResult, write_results
 from upslope.learners.ddpg import DDPGConfig
 from upslope.learners.dqn import DQNConfig
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.session import Session
 
 SHAPING_ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "oracle"]

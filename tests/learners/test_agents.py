@@ -15,7 +15,7 @@ from upslope.equations.shaping import not_policy_invariant, potential_based
 from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.priors.potentials import stack
 from upslope.run.loop import broadcast, run
 

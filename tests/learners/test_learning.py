@@ -8,7 +8,8 @@ from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.poles.figure1 import Figure1Config, figure1
 from upslope.experiments.priors import meta_train_priors, zero_shot_returns
 from upslope.experiments.results import FigureResult
-from upslope.meta_training.recipes import MetaTrainingConfig, as_printed, for_grid_games
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import as_printed, for_grid_games
 from upslope.planning.measures import measure_all, truths
 from upslope.tasks import cartpoles, obstacle_maps
 

@@ -22,7 +22,8 @@ from upslope.meta_training.finite_posterior import (
     q_tables,
     table_distance,
 )
-from upslope.meta_training.recipes import MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import for_grid_games, multi_task_dqn
 from upslope.planning.exact import solve_all, tabulate
 from upslope.tasks import grid_games
 

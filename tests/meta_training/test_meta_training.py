@@ -14,7 +14,7 @@ from support.meta import BATCH, TINY, learner
 from support.probes import discrete_family, observation_dependent
 from upslope.errors import UpslopeError
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from support.batches import small_network
 from upslope.errors import UpslopeError
 from upslope.learners.dqn import DQN, for_maps
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.actor_critic import Actor, Critic
 from upslope.networks.convolution_forms import FORMS
 from upslope.networks.dueling import MLP, DuelingQ, QNetwork, convolutional_torso, with_convolutions

@@ -11,6 +11,7 @@ from safetensors.numpy import save_file
 
 from support.comparing import assert_trees_identical
 from upslope import storage
+from upslope.tasks.actions import DiscreteActions
 from upslope.errors import UpslopeError
 from upslope.networks.dueling import DuelingQ
 from upslope.priors.prior import Prior, TrainedOn, trained_on
@@ -232,7 +233,7 @@ class TestCheck:
             PRIOR.check(dataclasses.replace(FAMILY, **change))
 
     def test_other_actions_matter_for_acting_only(self):
-        other = dataclasses.replace(FAMILY, actions=3)
+        other = dataclasses.replace(FAMILY, actions=DiscreteActions(3))
         PRIOR.check(other)
         with pytest.raises(UpslopeError, match="number of actions is 2 in the prior and 3"):
             PRIOR.check(other, acting=True)

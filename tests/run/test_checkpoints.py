@@ -21,7 +21,7 @@ from upslope.errors import DamagedFileError, InterruptedRunError, NotSavedError,
 from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.dueling import DuelingQ
 from upslope.run.checkpoints import Checkpoints, adopt
 from upslope.run.engines import compiled as chunks

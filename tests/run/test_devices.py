@@ -21,7 +21,7 @@ import numpy as np
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.learners import sharing
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.loop import broadcast, run
 from upslope.tasks import cartpoles, obstacle_maps
 

@@ -4,7 +4,7 @@ import dataclasses
 
 from support.probes import discrete_family
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 
 TASKS, BATCH, ALPHA = 2, 3, 0.1
 TINY = MetaTrainingConfig(

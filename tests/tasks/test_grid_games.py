@@ -10,7 +10,8 @@ from upslope.cli.families import Tasks, draw_task, recipe_for
 from upslope.envs.grid_rules import POSITION
 from upslope.errors import UpslopeError
 from upslope.learners.dqn import DQNConfig
-from upslope.meta_training.recipes import MetaTrainingConfig, for_grid_games, suited_to
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import for_grid_games, suited_to
 from upslope.tasks import FAMILIES, cartpoles, clean_maps, grid_games, obstacle_maps
 from upslope.tasks.actions import DiscreteActions
 

@@ -10,7 +10,7 @@ import upslope
 from support.counting import Counting, OldStyle, Params
 from upslope.envs.time_steps import TimeStepEnvironment
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.dueling import ConvolutionalTorso
 from upslope.tasks.actions import ContinuousActions
 

@@ -13,7 +13,7 @@ from upslope import GymnasiumTasks, UpslopeError
 from upslope.adaptation.algorithm2 import AdaptationConfig
 from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.actor_critic import Actor, Critic
 from upslope.networks.dueling import ConvolutionalTorso, DuelingQ, QNetwork
 from upslope.networks.numpy_networks import numpy_batch

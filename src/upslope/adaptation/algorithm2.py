@@ -15,19 +15,19 @@ from upslope.equations.shaping import potential_based, shape
 from upslope.learners.evaluation import greedy_report
 from upslope.learners.experience import Experience
 from upslope.learners.learner import AbstractTaskLearner, vital_signs
-from upslope.learners.lookups import Asked, DuelingLookup, looked_up
+from upslope.learners.lookups import dueling_table
 from upslope.learners.policies import EpsilonGreedy, Greedy
-from upslope.networks.dueling import DuelingQ
+from upslope.networks.dueling import AbstractDueling, DuelingQ
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Key, Metrics, Scalar, Task, Transition
+from upslope.types import Action, Key, Metrics, Observation, Scalar, Task, Transition
 
 
 @runtime_checkable
 class UpdateRule(Protocol):
     """How one arm turns a batch into new parameters: Algorithm 2, MAML, and the controls between them."""
 
-    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
-        """φ after one update on raw transitions ``[n, ...]``; the prior is only asked."""
+    def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
+        """φ after one update on raw transitions ``[n, ...]``; the prior is only evaluated."""
         ...
 
 
@@ -45,29 +45,36 @@ class AdvantageHead(eqx.Module):
     centred: bool = eqx.field(static=True, default=True)
     value_step: float = eqx.field(static=True, default=1.0)
 
-    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+    def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
         level = self.level(prior)
         phi = descend(phi, jax.grad(advantage_step_loss)(phi, phi, batch, level), step_size)
         return descend(phi, jax.grad(value_step_loss)(phi, batch, level), self.value_step * step_size)
 
-    def level(self, prior: Asked) -> Callable:
-        """What is subtracted from A(s, ·)."""
-        return (lambda obs: jnp.max(prior.advantage(obs))) if self.centred else (lambda obs: jnp.zeros(()))
+    def level(self, prior: AbstractDueling) -> Callable[[Observation], Scalar]:
+        """A function of s: what is subtracted from A(s, ·)."""
+        return prior.highest_advantage if self.centred else (lambda obs: jnp.zeros(()))
 
 
-def advantage_step_loss(phi: DuelingQ, potential: Asked, batch: Transition, level: Callable) -> Scalar:
+def advantage_step_loss(
+    phi: DuelingQ, potential: AbstractDueling, batch: Transition, level: Callable[[Observation], Scalar]
+) -> Scalar:
     """Mean of Eq. 8, with the rewards shaped by the V head of ``potential``, which is a constant here."""
     shaped = shape(batch, potential_based(jax.lax.stop_gradient(potential).value).rewards(batch))
-    advantage = jax.vmap(lambda obs: phi.advantage(obs) - level(obs))
-    next_advantage = jax.lax.stop_gradient(advantage(batch.next_obs))
-    losses = jax.vmap(advantage_loss)(advantage(batch.obs), batch.action, shaped.reward, batch.discount, next_advantage)
-    return jnp.mean(losses)
+
+    def loss(obs: Observation, action: Action, reward: Scalar, discount: Scalar, next_obs: Observation) -> Scalar:
+        highest_next = jax.lax.stop_gradient(phi.highest_advantage(next_obs) - level(next_obs))
+        return advantage_loss(phi.advantage(obs, action) - level(obs), reward, discount, highest_next)
+
+    return jnp.mean(jax.vmap(loss)(*shaped))
 
 
-def value_step_loss(phi: DuelingQ, batch: Transition, level: Callable) -> Scalar:
+def value_step_loss(phi: DuelingQ, batch: Transition, level: Callable[[Observation], Scalar]) -> Scalar:
     """Mean of Eq. 9."""
-    value, advantage = jax.vmap(phi.heads)(batch.obs)
-    return jnp.mean(jax.vmap(value_loss)(value, advantage - jax.vmap(level)(batch.obs)[:, None]))
+
+    def loss(obs: Observation) -> Scalar:
+        return value_loss(phi.value(obs), jax.lax.stop_gradient(phi).highest_advantage(obs) - level(obs))
+
+    return jnp.mean(jax.vmap(loss)(batch.obs))
 
 
 @dataclass(frozen=True)
@@ -99,16 +106,16 @@ class AdaptationState(eqx.Module):
 
     Attributes:
         phi: φ_j, the task-posterior.
-        everywhere: φ in every state of a finite task; None elsewhere. Experience, reports and terms without a gradient
-            look it up, which saves a third of an update's passes through the network.
-        prior_everywhere: likewise the prior.
+        evaluated: φ for what takes no gradient: acting and reports. In finite tasks it is a table of all states, which
+            saves a third of an update's passes through the network; elsewhere it is φ itself.
+        prior: θ, likewise.
     """
 
     key: Key
     phi: DuelingQ
     experience: Experience
-    everywhere: DuelingLookup | None
-    prior_everywhere: DuelingLookup | None
+    evaluated: AbstractDueling
+    prior: AbstractDueling
 
 
 class Adaptation(AbstractTaskLearner):
@@ -131,12 +138,12 @@ class Adaptation(AbstractTaskLearner):
     def init(self, key: Key) -> AdaptationState:
         key, start_key = jax.random.split(key)
         experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity)
-        everywhere = looked_up(self.family, self.task, self.prior)
-        return AdaptationState(key, self.prior, experience, everywhere, everywhere)
+        prior = dueling_table(self.family, self.task, self.prior)
+        return AdaptationState(key, self.prior, experience, prior, prior)
 
     def gather(self, state: AdaptationState) -> tuple[Any, Transition]:
         _, act_key, _ = jax.random.split(state.key, 3)
-        policy = EpsilonGreedy((state.everywhere or state.phi).advantage, self.config.epsilon)
+        policy = EpsilonGreedy(state.evaluated, self.config.epsilon)
         return state.experience.act(act_key, self.family, self.task, policy, self.config.steps_per_update)
 
     def update(self, state: AdaptationState, gathered: tuple[Any, Transition]) -> tuple[AdaptationState, Metrics]:
@@ -144,15 +151,13 @@ class Adaptation(AbstractTaskLearner):
         running, seen = gathered
         experience = state.experience.remember(running, seen)
         batch = experience.sample(sample_key, self.config.batch_size).transition
-        prior: Asked = state.prior_everywhere or self.prior
-        phi = self.rule.update(state.phi, prior, batch, self.step_size)
-        everywhere = looked_up(self.family, self.task, phi)
-        now: Asked = everywhere or phi
-        moved = jnp.mean(jnp.abs(jax.vmap(now.value)(batch.obs) - jax.vmap(prior.value)(batch.obs)))
-        state = AdaptationState(key, phi, experience, everywhere, state.prior_everywhere)
-        return state, vital_signs(seen) | {"value_change": moved}
+        phi = self.rule.update(state.phi, state.prior, batch, self.step_size)
+        evaluated = dueling_table(self.family, self.task, phi)
+        change = jnp.mean(jnp.abs(jax.vmap(evaluated.value)(batch.obs) - jax.vmap(state.prior.value)(batch.obs)))
+        state = AdaptationState(key, phi, experience, evaluated, state.prior)
+        return state, vital_signs(seen) | {"value_change": change}
 
     def report(self, state: AdaptationState) -> dict[str, Scalar]:
         key = jax.random.fold_in(state.key, 0)
-        policy = Greedy((state.everywhere or state.phi).advantage)
+        policy = Greedy(state.evaluated)
         return greedy_report(key, self.family, self.task, policy, self.config.evaluation_episodes)

@@ -6,17 +6,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from upslope.adaptation.algorithm2 import AdvantageHead, UpdateRule, advantage_step_loss
-from upslope.equations.losses import td_loss
+from upslope.equations.losses import dueling_q, td_loss
 from upslope.equations.maml import descend
-from upslope.learners.lookups import Asked
-from upslope.networks.dueling import DuelingQ
-from upslope.types import Scalar, Transition
+from upslope.networks.dueling import AbstractDueling, DuelingQ
+from upslope.types import Action, Observation, Scalar, Transition
 
 
 class FrozenPotential(eqx.Module):
     """V frozen at the prior, two centred A steps: pure shaping. Tells what moving the potential adds."""
 
-    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+    def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
         level = AdvantageHead(centred=True).level(prior)
         for _ in range(2):
             phi = descend(phi, jax.grad(advantage_step_loss)(phi, prior, batch, level), step_size)
@@ -26,19 +25,21 @@ class FrozenPotential(eqx.Module):
 class CentredTD(eqx.Module):
     """One TD step on V + A − frozen max A. Tells what is owed to not differentiating through a running maximum."""
 
-    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+    def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
         return descend(phi, jax.grad(centred_td_loss)(phi, prior, batch), step_size)
 
 
-def centred_td_loss(phi: DuelingQ, prior: Asked, batch: Transition) -> Scalar:
+def centred_td_loss(phi: DuelingQ, prior: AbstractDueling, batch: Transition) -> Scalar:
     """Mean of Eq. 5 for Q(s, ·) = V(s) + A(s, ·) − the prior's max A(s, ·)."""
 
-    def centred_q(obs):
-        value, advantage = phi.heads(obs)
-        return value + advantage - jnp.max(prior.advantage(obs))
+    def loss(obs: Observation, action: Action, reward: Scalar, discount: Scalar, next_obs: Observation) -> Scalar:
+        head = phi.advantage_head
+        (value, outputs), (next_value, next_outputs) = phi.heads(obs), phi.heads(next_obs)
+        q = dueling_q(value, head.advantage(outputs, action), prior.highest_advantage(obs))
+        highest_next_q = dueling_q(next_value, head.highest(next_outputs), prior.highest_advantage(next_obs))
+        return td_loss(q, reward, discount, jax.lax.stop_gradient(highest_next_q))
 
-    q, next_q = jax.vmap(centred_q)(batch.obs), jax.lax.stop_gradient(jax.vmap(centred_q)(batch.next_obs))
-    return jnp.mean(jax.vmap(td_loss)(q, batch.action, batch.reward, batch.discount, next_q))
+    return jnp.mean(jax.vmap(loss)(*batch))
 
 
 class OneOf(eqx.Module):
@@ -47,5 +48,5 @@ class OneOf(eqx.Module):
     rules: tuple[UpdateRule, ...]
     index: Int[Array, ""]
 
-    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+    def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
         return jax.lax.switch(self.index, [rule.update for rule in self.rules], phi, prior, batch, step_size)

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 
 from upslope.equations.losses import td_loss
 from upslope.equations.maml import adapt
-from upslope.learners.lookups import Asked
-from upslope.networks.dueling import DuelingQ
+from upslope.networks.dueling import AbstractDueling, DuelingQ
 from upslope.types import Scalar, Transition
 
 
@@ -20,13 +19,13 @@ class FineTuning(eqx.Module):
 
     steps: int = eqx.field(static=True, default=1)
 
-    def update(self, phi: DuelingQ, prior: Asked, batch: Transition, step_size: Scalar) -> DuelingQ:
+    def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
         del prior
         return adapt(fine_tuning_loss, phi, batch, step_size=step_size, steps=self.steps)
 
 
 def fine_tuning_loss(phi: DuelingQ, batch: Transition) -> Scalar:
     """Mean of Eq. 5 with Eq. 6's Q, the target a constant."""
-    next_q = jax.lax.stop_gradient(jax.vmap(phi)(batch.next_obs))
-    q = jax.vmap(phi)(batch.obs)
-    return jnp.mean(jax.vmap(td_loss)(q, batch.action, batch.reward, batch.discount, next_q))
+    next_value = jax.lax.stop_gradient(jax.vmap(phi.value)(batch.next_obs))
+    q = jax.vmap(phi.q)(batch.obs, batch.action)
+    return jnp.mean(jax.vmap(td_loss)(q, batch.reward, batch.discount, next_value))

@@ -15,7 +15,8 @@ from upslope.errors import UpslopeError
 from upslope.experiments.adaptation_panel import RULES
 from upslope.experiments.catalogue import reproduce
 from upslope.experiments.everything import reproduce_all
-from upslope.meta_training.recipes import MetaTrainingConfig, as_printed
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import as_printed
 from upslope.priors.prior import Prior
 from upslope.run.folder import claimed
 from upslope.run.session import session_in

@@ -7,7 +7,8 @@ import jax
 import numpy as np
 
 from upslope.errors import UpslopeError
-from upslope.meta_training.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import ITERATIONS, for_grid_games
 from upslope.tasks import FAMILIES, JaxTasks, cartpoles, clean_maps, grid_games, obstacle_maps
 from upslope.types import Task
 

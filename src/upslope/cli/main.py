@@ -9,7 +9,7 @@ from upslope.cli.check import Check
 from upslope.cli.commands import Adapt, MetaTrain, Reproduce, Train
 from upslope.cli.families import recipe_for
 from upslope.errors import InterruptedRunError, UpslopeError
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.compiling import set_up_devices
 from upslope.run.signals import stop_requests
 

@@ -1,4 +1,4 @@
-"""Model-agnostic meta-learning, Eqs. 2 and 3: for any loss, any number of inner steps, full graph or first order."""
+"""Model-agnostic meta-learning, Eqs. 2 and 3: for any way to adapt, and any loss between θ and φ."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -12,6 +12,7 @@ from upslope.types import Scalar
 
 Params = TypeVar("Params")
 Data = TypeVar("Data")
+Posterior = TypeVar("Posterior")
 
 #: A squared gradient below this is no direction to go in.
 _FLAT = 1e-12
@@ -71,46 +72,54 @@ def _polyak(error: Scalar, gradient: Params) -> Scalar:
 
 
 def meta_loss(
-    inner_loss: Callable[[Params, Data], Scalar],
-    outer_loss: Callable[[Params, Params, Data], Scalar],
+    adapt_to: Callable[[Params, Data], Posterior],
+    distance: Callable[[Params, Posterior, Data], Scalar],
     params: Params,
     data: Data,
-    *,
-    step_size: float | Scalar,
-    steps: int = 1,
-    first_order: bool = False,
 ) -> Scalar:
-    """The objective under ∇ in Eq. 3: E_i of ``outer_loss(θ, φ_i, data_i)``, with φ_i adapted by Eq. 2.
+    """The objective under ∇ in Eq. 3: E_i of L_i(θ, φ_i), with φ_i adapted from θ (Eq. 2).
 
-    MAML's own outer loss is L_i(φ_i); Algorithm 1's is the distance of Q_θ and Q_φ (Eq. 7). The samples ``data`` have
-    a leading axis of tasks ``[tasks, ...]``; all other arguments are those of `adapt`.
-    """
-
-    def loss_of_task(task_data: Data) -> Scalar:
-        adapted = adapt(inner_loss, params, task_data, step_size=step_size, steps=steps, first_order=first_order)
-        return outer_loss(params, adapted, task_data)
-
-    return jnp.mean(jax.vmap(loss_of_task)(data))
-
-
-def gradient_task_by_task(loss: Callable[[Params, Data], Scalar], params: Params, data: Data) -> tuple[Scalar, Params]:
-    """The mean of a loss over tasks ``[tasks, ...]``, and its gradient, taken within a loop over the tasks.
-
-    The same as differentiating a `meta_loss`, whose tasks lie side by side, with the memory of one task. Networks with
-    convolutions need it on CPU: side by side the adapted weights turn every convolution into a batch of them.
+    MAML's own L_i is the task's loss of φ_i; Algorithm 1's is the distance of Q_θ and Q_φ (Eq. 7).
 
     Args:
-        loss: of one task: a function of θ and that task's data.
+        adapt_to: θ and one task's data to φ_i.
+        distance: L_i: θ, φ_i and the task's data to a number.
         params: θ.
         data: the tasks' samples ``[tasks, ...]``.
     """
+    return jnp.mean(jax.vmap(lambda task: distance(params, adapt_to(params, task), task))(data))
+
+
+def meta_gradient(
+    adapt_to: Callable[[Params, Data], Posterior],
+    distance: Callable[[Params, Posterior, Data], Scalar],
+    params: Params,
+    data: Data,
+    *,
+    in_sequence: bool = False,
+) -> tuple[Scalar, Params]:
+    """`meta_loss` and its gradient with respect to θ, the ∇ of Eq. 3.
+
+    Args:
+        adapt_to: see `meta_loss`.
+        distance: likewise.
+        params: θ.
+        data: the tasks' samples ``[tasks, ...]``.
+        in_sequence: take the tasks one after the other: the same numbers with the memory of one task. Networks with
+            convolutions need it on CPUs: side by side the adapted weights turn every convolution into a batch of them.
+    """
+    if not in_sequence:
+        return jax.value_and_grad(meta_loss, argnums=2)(adapt_to, distance, params, data)
     count = jax.tree.leaves(data)[0].shape[0]
 
-    def add(total: tuple[Scalar, Params], task_data: Data) -> tuple[tuple[Scalar, Params], None]:
+    def loss(theta: Params, task: Data) -> Scalar:
+        return distance(theta, adapt_to(theta, task), task)
+
+    def add(total: tuple[Scalar, Params], task: Data) -> tuple[tuple[Scalar, Params], None]:
         # XLA would take out of the loop what only θ is needed for, and then no longer see that passes are the same.
-        theta, task_data = jax.lax.optimization_barrier((params, task_data))
+        theta, task = jax.lax.optimization_barrier((params, task))
         # Differentiated in here, nothing of one task is kept for the next.
-        return jax.tree.map(jnp.add, total, jax.value_and_grad(loss)(theta, task_data)), None
+        return jax.tree.map(jnp.add, total, jax.value_and_grad(loss)(theta, task)), None
 
     nothing = (jnp.zeros(()), jax.tree.map(jnp.zeros_like, params))
     total, _ = jax.lax.scan(add, nothing, data)
@@ -118,26 +127,12 @@ def gradient_task_by_task(loss: Callable[[Params, Data], Scalar], params: Params
 
 
 def outer_step(
-    inner_loss: Callable[[Params, Data], Scalar],
+    adapt_to: Callable[[Params, Data], Posterior],
+    distance: Callable[[Params, Posterior, Data], Scalar],
     params: Params,
     data: Data,
     *,
-    inner_step_size: float | Scalar,
-    outer_step_size: float | Scalar,
-    steps: int = 1,
-    first_order: bool = False,
+    step_size: float | Scalar,
 ) -> Params:
-    """Eq. 3: θ ← θ − β·∇_θ E_i L_i(φ_i), by plain gradient descent over tasks ``[tasks, ...]``."""
-
-    def objective(theta: Params) -> Scalar:
-        return meta_loss(
-            inner_loss,
-            lambda _, phi, task_data: inner_loss(phi, task_data),
-            theta,
-            data,
-            step_size=inner_step_size,
-            steps=steps,
-            first_order=first_order,
-        )
-
-    return descend(params, jax.grad(objective)(params), outer_step_size)
+    """Eq. 3: θ ← θ − β·∇_θ E_i L_i(θ, φ_i), by plain gradient descent over tasks ``[tasks, ...]``."""
+    return descend(params, meta_gradient(adapt_to, distance, params, data)[1], step_size)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from upslope.experiments.keys import Purpose, key_for, keys_for
 from upslope.learners.policies import EpsilonGreedy, Greedy
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.dueling import DuelingQ
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome

@@ -10,7 +10,8 @@ from upslope.experiments.maps.figures import full_grid_figure
 from upslope.experiments.maps.priors import families
 from upslope.experiments.priors import meta_train_priors
 from upslope.experiments.results import EPISODE_LENGTH, SUCCESS, Panel, Score, circumstances
-from upslope.meta_training.recipes import MetaTrainingConfig, for_grid_games
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import for_grid_games
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, cartpoles, grid_games

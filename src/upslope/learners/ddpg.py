@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from upslope.equations.losses import huber
+from upslope.equations.losses import huber, td_error
 from upslope.equations.shaping import Shaping, shape
 from upslope.learners.dqn import adam
 from upslope.learners.experience import Experience, greedy_return
 from upslope.learners.learner import AbstractTaskLearner, vital_signs
-from upslope.learners.policies import Deterministic, Noisy
+from upslope.learners.policies import Greedy, Noisy
 from upslope.networks.actor_critic import Actor, Critic
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Metrics, Scalar, Task, Transition
@@ -127,7 +127,7 @@ class DDPG(AbstractTaskLearner):
 
     def report(self, state: DDPGState) -> dict[str, Scalar]:
         key = jax.random.fold_in(state.key, 0)
-        policy = Deterministic(state.actor)
+        policy = Greedy(state.actor)
         return {"return": greedy_return(key, self.family, self.task, policy, self.config.evaluation_episodes)}
 
     def _adam(self) -> optax.GradientTransformation:
@@ -138,9 +138,9 @@ def critic_loss(
     critic: Critic, target_actor: Actor, target_critic: Critic, batch: Transition, threshold: float
 ) -> Scalar:
     """Mean Huber loss of the critic's TD errors, the bootstrap by the target actor's action."""
-    next_q = jax.vmap(target_critic)(batch.next_obs, jax.vmap(target_actor)(batch.next_obs))
+    next_value = jax.vmap(target_critic)(batch.next_obs, jax.vmap(target_actor.best)(batch.next_obs))
     q = jax.vmap(critic)(batch.obs, batch.action)
-    errors = batch.reward + batch.discount * next_q - q
+    errors = jax.vmap(td_error)(q, batch.reward, batch.discount, next_value)
     return jnp.mean(jax.vmap(huber, in_axes=(0, None))(errors, threshold))
 
 

@@ -15,7 +15,8 @@ from upslope.learners.experience import Experience
 from upslope.learners.learner import AbstractTaskLearner, vital_signs
 from upslope.learners.policies import EpsilonGreedy, Greedy
 from upslope.networks.convolution import Precision
-from upslope.networks.dueling import QNetwork, with_convolutions
+from upslope.networks.precision import with_precision
+from upslope.networks.q_network import QNetwork
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Metrics, Scalar, Task, Transition
 
@@ -98,7 +99,7 @@ class DQN(AbstractTaskLearner):
             self.config.hidden,
             self.family.observation_scale,
         )
-        network = with_convolutions(network, self.config.precision)
+        network = with_precision(network, self.config.precision)
         experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity, self.shaping)
         experience, _ = experience.extend(
             warmup_key, self.family, self.task, EpsilonGreedy(network, 1.0), self.config.warmup_steps, self.shaping
@@ -137,8 +138,8 @@ class DQN(AbstractTaskLearner):
 
 def dqn_loss(network: QNetwork, target: QNetwork, batch: Transition, threshold: float) -> Scalar:
     """Mean Huber loss of the TD errors of a batch, the bootstrap by the target network."""
-    q, next_q = jax.vmap(network)(batch.obs), jax.vmap(target)(batch.next_obs)
-    errors = jax.vmap(td_error)(q, batch.action, batch.reward, batch.discount, next_q)
+    q, next_value = jax.vmap(network.q)(batch.obs, batch.action), jax.vmap(target.value)(batch.next_obs)
+    errors = jax.vmap(td_error)(q, batch.reward, batch.discount, next_value)
     return jnp.mean(jax.vmap(huber, in_axes=(0, None))(errors, threshold))
 
 

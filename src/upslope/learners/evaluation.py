@@ -3,7 +3,6 @@
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from upslope.learners.experience import greedy_return
 from upslope.learners.policies import Greedy
@@ -27,7 +26,7 @@ def greedy_report(key: Key, family: AbstractFamily, task: Task, policy: Greedy, 
 def exact_report(family: Any, task: Task, policy: Greedy) -> dict[str, Scalar]:
     """The expected returns of one episode of a finite task, from its start. Nothing is sampled."""
     mdp = tabulate(family.env, task, family.gamma)
-    scores = jax.vmap(policy.network)(family.all_observations(task))
-    greedy = jax.nn.one_hot(jnp.argmax(scores, axis=-1), family.actions.count)
+    best = jax.vmap(policy.network.best)(family.states.observe_all(task))
+    greedy = jax.nn.one_hot(best, family.actions.count)
     raw, discounted = episode_values(mdp, greedy, family.max_steps)
     return {"return": raw[task.start], "discounted_return": discounted[task.start]}

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from upslope.equations.shaping import Shaping
-from upslope.learners.lookups import looking_up
+from upslope.learners.lookups import policy_with_table
 from upslope.learners.replay import Replay
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Policy, Scalar, Task, Transition
@@ -43,7 +43,7 @@ class Experience(eqx.Module):
 
     def act(self, key: Key, family: AbstractFamily, task: Task, policy: Policy, steps: int) -> tuple[Any, Transition]:
         """Acts for ``steps`` steps: the running environment after them, and the raw transitions ``[steps, ...]``."""
-        policy = looking_up(family, task, policy, steps)
+        policy = policy_with_table(family, task, policy, steps)
         running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
         return running, jax.tree.map(lambda leaf: leaf[0], transitions)
 

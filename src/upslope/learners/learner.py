@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from upslope.networks.torsos import torso_class
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Metrics, Transition
 
@@ -85,7 +86,7 @@ def in_turn(learner: AbstractLearner) -> bool:
     On CPUs convolutional ones do: side by side their patches fall out of the caches, and an update costs 1.4 times as
     much. Small networks want the opposite.
     """
-    on_maps = isinstance(learner, AbstractTaskLearner) and learner.family.recipe in ("images", "maps")
+    on_maps = isinstance(learner, AbstractTaskLearner) and torso_class(learner.family.observation_shape).takes_turns
     return on_maps and jax.default_backend() == "cpu"
 
 

@@ -1,4 +1,4 @@
-"""What a network says of every state of a finite task: computed for all of them at once, and looked up after that."""
+"""Networks in every state of a finite task: evaluated in all of them at once, and looked up after that."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,72 +7,48 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from upslope.learners.policies import AbstractPolicy
-from upslope.networks.dueling import DuelingQ
-from upslope.types import Policy, Scalar, Task
+from upslope.networks.dueling import AbstractDueling, DuelingQ, DuelingTable
+from upslope.tasks.family import AbstractFamily
+from upslope.types import Action, Key, Policy, Task
 
-#: A state's scores among those of all states cost a third of what they cost alone (the paper's network, CPU).
+#: One state among all states costs a third of what it costs alone (the paper's network, CPU).
 _CHEAPER_TOGETHER = 3
 
 
-class Lookup(eqx.Module):
-    """Scores of the actions.
+class BestTable(eqx.Module):
+    """The best action in every state, as a network for policies.
 
     Attributes:
-        env: with ``state_number(obs)``.
-        scores: in every state.
+        states: with ``state_number(obs)``.
+        actions: the best one in every state ``[states, ...]``.
+        network: draws random actions.
     """
 
-    env: Any = eqx.field(static=True)
-    scores: Float[Array, "states actions"]
+    states: Any = eqx.field(static=True)
+    actions: Any
+    network: Any
 
-    def __call__(self, obs: Float[Array, "*obs"]) -> Float[Array, "actions"]:
-        return self.scores[self.env.state_number(obs)]
+    def best(self, obs: Float[Array, "*obs"]) -> Action:
+        return self.actions[self.states.state_number(obs)]
 
-
-class DuelingLookup(eqx.Module):
-    """Both heads of a `DuelingQ`, for all that only asks it.
-
-    Attributes:
-        env: with ``state_number(obs)``.
-        values: V in every state.
-        advantages: the raw A in every state.
-    """
-
-    env: Any = eqx.field(static=True)
-    values: Float[Array, "states"]
-    advantages: Float[Array, "states actions"]
-
-    def heads(self, obs: Float[Array, "*obs"]) -> tuple[Scalar, Float[Array, "actions"]]:
-        """V(s) and the raw A(s, ·)."""
-        state = self.env.state_number(obs)
-        return self.values[state], self.advantages[state]
-
-    def value(self, obs: Float[Array, "*obs"]) -> Scalar:
-        """V(s)."""
-        return self.heads(obs)[0]
-
-    def advantage(self, obs: Float[Array, "*obs"]) -> Float[Array, "actions"]:
-        """A(s, ·), raw."""
-        return self.heads(obs)[1]
+    def random_actions(self, key: Key, count: int) -> Any:
+        return self.network.random_actions(key, count)
 
 
-#: A network, or what it says everywhere: V and A without gradients.
-Asked = DuelingQ | DuelingLookup
-
-
-def looked_up(family: Any, task: Task, network: DuelingQ) -> DuelingLookup | None:
-    """The network in every state of one task; None where states can't be listed."""
+def dueling_table(family: AbstractFamily, task: Task, network: DuelingQ) -> AbstractDueling:
+    """The network in every state of one task; the network itself where states can't be listed."""
     if not family.lists_states:
-        return None
-    return DuelingLookup(family.env, *jax.vmap(network.heads)(family.env.observe_all(task)))
+        return network
+    values, outputs = jax.vmap(network.heads)(family.states.observe_all(task))
+    return DuelingTable(states=family.states, values=values, outputs=outputs, advantage_head=network.advantage_head)
 
 
-def looking_up(family: Any, task: Task, policy: Policy, steps: int) -> Policy:
-    """The same policy; in a finite task its scores are computed once for all states, where that is cheaper."""
-    if not (isinstance(policy, AbstractPolicy) and family.lists_states):
+def policy_with_table(family: AbstractFamily, task: Task, policy: Policy, steps: int) -> Policy:
+    """The same policy; in a finite task its best actions are computed once for all states, where that is cheaper."""
+    if not family.lists_states:
         return policy
-    observations = family.env.observe_all(task)
+    observations = family.states.observe_all(task)
     if len(observations) > _CHEAPER_TOGETHER * steps:
         return policy
-    return replace(policy, network=Lookup(family.env, jax.vmap(policy.network)(observations)))
+    network: Any = policy.network  # type: ignore[attr-defined]
+    return replace(policy, network=BestTable(family.states, jax.vmap(network.best)(observations), network))  # type: ignore[type-var]

@@ -1,20 +1,19 @@
 """How learners act: policies are small PyTrees over a batch of observations, so that any family can run them.
 
-On the host a policy draws its noise for many steps at once, in one compiled call, and then acts in numpy: the same
+On the host a policy draws its noise for many steps at once, in one compiled call, and then acts in NumPy: the same
 actions for the same keys.
 """
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float
 
-from upslope.networks.numpy_networks import has_numpy_form, numpy_batch
 from upslope.types import Acting, Key, Keys
 
 
@@ -22,130 +21,111 @@ class AbstractPolicy(eqx.Module):
     """A policy in two parts: the noise of a step, which depends on nothing else, and what is done with it.
 
     Attributes:
-        order_only: whether nothing counts of the outputs but which is the largest.
-        network: scores of the actions, or the action itself, of one observation.
+        network: with ``best(obs)``, the best action in one state, and, for acting on the host, ``numpy_best()``.
     """
 
-    order_only: ClassVar[bool] = False
-
-    network: eqx.AbstractVar[Callable[..., Float[Array, "..."]]]
+    network: eqx.AbstractVar[Any]
 
     @abstractmethod
-    def noise(self, key: Key, shape: tuple[int, ...]) -> Any:
-        """What is drawn for one step, for outputs of the network of this shape ``[n, actions]``."""
+    def noise(self, key: Key, count: int) -> Any:
+        """The random numbers of one step of ``count`` environments."""
 
     @abstractmethod
-    def choose(self, noise: Any, outputs: Any, xp: Any) -> Any:
-        """Actions ``[n, ...]`` from the network's outputs ``[n, actions]``, with jax.numpy or numpy as ``xp``."""
+    def choose(self, noise: Any, best: Any, xp: Any) -> Any:
+        """Actions ``[n, ...]``, given the best ones, with jax.numpy or numpy as ``xp``."""
 
     def __call__(self, key: Key, obs: Float[Array, "n *obs"]) -> Any:
-        outputs = jax.vmap(self.network)(obs)
-        return self.choose(self.noise(key, outputs.shape), outputs, jnp)
+        return self.choose(self.noise(key, len(obs)), jax.vmap(self.network.best)(obs), jnp)
 
     def ahead(self, keys: Keys, obs: Float[Array, "n *obs"]) -> tuple[Any, Callable[[Any, Any], Any]]:
         """The noise of many steps at once, and the policy as a function of one step's noise and observations.
 
         The same actions as calling the policy with each of the keys; but a loop over steps that draws nothing has half
-        the kernels, and where ten poles are balanced starting a kernel is all that it costs.
+        the kernels, and with ten poles starting a kernel is all that a step costs.
 
         Args:
             keys: one for each step ``[steps]``.
-            obs: of any step: what counts is the shape.
+            obs: of any step: only the shape is used.
         """
-        shape = jax.eval_shape(jax.vmap(self.network), obs).shape
 
         def act(noise: Any, obs: Float[Array, "n *obs"]) -> Any:
-            return self.choose(noise, jax.vmap(self.network)(obs), jnp)
+            return self.choose(noise, jax.vmap(self.network.best)(obs), jnp)
 
-        return _noises_of_steps(self, keys, shape), act
+        return _noise_of_steps(self, keys, len(obs)), act
 
-    def on_host(self, keys: Keys, shape: tuple[int, ...]) -> Callable[[], Acting] | None:
-        """What makes the policy in numpy; None if it has no such form. JAX draws the noise from now on.
+    def on_host(self, keys: Keys, count: int) -> Callable[[], Acting] | None:
+        """Makes the policy in NumPy when it is called; None if the network has no such form. JAX draws the noise now.
 
         Args:
             keys: one for each step ``[steps]``.
-            shape: of the network's outputs ``[n, actions]``.
+            count: of the environments.
         """
-        if not has_numpy_form(self.network):
+        numpy_best = getattr(self.network, "numpy_best", None)
+        if numpy_best is None:
             return None
-        noises = _noises(self, keys, shape)
-        return lambda: self._acting(noises, len(keys))
+        noise = _compiled_noise(self, keys, count)
+        return lambda: self._acting(numpy_best(), noise, len(keys))
 
-    def _acting(self, noises: Any, steps: int) -> Acting:
-        network = numpy_batch(self.network, order_only=self.order_only)
-        leaves, structure = jax.tree.flatten(noises)
+    def _acting(self, best: Callable[[np.ndarray], np.ndarray], noise: Any, steps: int) -> Acting:
+        leaves, structure = jax.tree.flatten(noise)
         # Taken apart at once: a PyTree of one step's noise costs as much to make as the network to evaluate.
         rows = list(zip(*(np.asarray(leaf) for leaf in leaves), strict=True)) if leaves else [()] * steps
-        noise = [jax.tree.unflatten(structure, row) for row in rows]
+        noises = [jax.tree.unflatten(structure, row) for row in rows]
         choose = type(self).choose  # looked up once: binding a method of a module costs more than the choice
 
         def act(step: int, obs: np.ndarray) -> np.ndarray:
-            return choose(self, noise[step], network(obs), np)
+            return choose(self, noises[step], best(obs), np)
 
         return act
 
 
-def _noises_of_steps(policy: AbstractPolicy, keys: Keys, shape: tuple[int, ...]) -> Any:
-    return jax.vmap(lambda key: policy.noise(key, shape))(keys)
+def _noise_of_steps(policy: AbstractPolicy, keys: Keys, count: int) -> Any:
+    return jax.vmap(lambda key: policy.noise(key, count))(keys)
 
 
-_noises = jax.jit(_noises_of_steps, static_argnames="shape")
+_compiled_noise = jax.jit(_noise_of_steps, static_argnames="count")
 
 
 class Greedy(AbstractPolicy):
-    """The action of the highest score: Q(s, ·) or A(s, ·)."""
+    """The best action: where Q(s, ·) is highest, or a deterministic actor's own."""
 
-    order_only: ClassVar[bool] = True
+    network: Any
 
-    network: Callable[..., Float[Array, "actions"]]
+    def noise(self, key: Key, count: int) -> None:
+        del key, count
 
-    def noise(self, key: Key, shape: tuple[int, ...]) -> None:
-        del key, shape
-
-    def choose(self, noise: None, outputs: Any, xp: Any) -> Any:
+    def choose(self, noise: None, best: Any, xp: Any) -> Any:
         del noise, xp
-        return outputs.argmax(-1)  # the method: NumPy's function of the name takes five times as long to begin
+        return best
 
 
 class EpsilonGreedy(AbstractPolicy):
-    """A uniformly random action with probability ε (one for all, or one for each of the n), else the greedy one."""
+    """A uniformly random action with probability ε (one for all, or one for each of the n), else the best one.
 
-    order_only: ClassVar[bool] = True
+    The network draws the random actions: ``random_actions(key, n)``.
+    """
 
-    network: Callable[..., Float[Array, "actions"]]
+    network: Any
     epsilon: Float[Array, "..."] | float
 
-    def noise(self, key: Key, shape: tuple[int, ...]) -> tuple[Any, Int[Array, "n"]]:
+    def noise(self, key: Key, count: int) -> tuple[Bool[Array, "n"], Any]:
         explore_key, action_key = jax.random.split(key)
-        explore = jax.random.uniform(explore_key, shape[:1]) < self.epsilon
-        return explore, jax.random.randint(action_key, shape[:1], 0, shape[-1])
+        explore = jax.random.uniform(explore_key, (count,)) < self.epsilon
+        return explore, self.network.random_actions(action_key, count)
 
-    def choose(self, noise: Any, outputs: Any, xp: Any) -> Any:
+    def choose(self, noise: Any, best: Any, xp: Any) -> Any:
         explore, anything = noise
-        return xp.where(explore, anything, outputs.argmax(-1))
+        return xp.where(explore.reshape(-1, *(1,) * (anything.ndim - 1)), anything, best)
 
 
 class Noisy(AbstractPolicy):
     """A deterministic actor's action plus Gaussian noise of standard deviation σ, clipped to [−1, 1]."""
 
-    network: Callable[..., Float[Array, "actions"]]
+    network: Any
     sigma: Any
 
-    def noise(self, key: Key, shape: tuple[int, ...]) -> Float[Array, "n actions"]:
-        return self.sigma * jax.random.normal(key, shape)
+    def noise(self, key: Key, count: int) -> Float[Array, "n actions"]:
+        return self.sigma * jax.random.normal(key, (count, self.network.actions))
 
-    def choose(self, noise: Any, outputs: Any, xp: Any) -> Any:
-        return xp.clip(outputs + noise, -1.0, 1.0)
-
-
-class Deterministic(AbstractPolicy):
-    """A deterministic actor's own action."""
-
-    network: Callable[..., Float[Array, "actions"]]
-
-    def noise(self, key: Key, shape: tuple[int, ...]) -> None:
-        del key, shape
-
-    def choose(self, noise: None, outputs: Any, xp: Any) -> Any:
-        del noise
-        return outputs
+    def choose(self, noise: Any, best: Any, xp: Any) -> Any:
+        return xp.clip(best + noise, -1.0, 1.0)

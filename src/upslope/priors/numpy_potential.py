@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from upslope.networks.numpy_convolution import CHANNELS, convolve
+from upslope.networks.numpy_torsos import numpy_torso_for
 from upslope.priors.prior_file import TrainedOn, read_prior_file
 
 
@@ -40,51 +40,19 @@ class NumpyPotential:
 
     def __call__(self, obs: Shaped[np.ndarray, "*obs"]) -> float:
         """Φ of one observation."""
-        if self._kernels:
-            return float(self.values(np.asarray(obs)[None])[0])
-        features = obs
-        # The vector form of `values`: without the batch axis numpy's calls cost half as much.
-        for weight, bias in self._layers:
-            features = weight.dot(features)
-            features += bias
-            self._activate(features, features)
-        return float(self._head.dot(features)) + self._head_bias
+        return float(self._head.dot(self._torso.one(obs))) + self._head_bias
 
     def values(self, obs: Shaped[np.ndarray, "n *obs"]) -> Float[np.ndarray, "n"]:
         """Φ of a batch of observations."""
-        features = np.asarray(obs, np.float64)
-        for kernel, bias in self._kernels:
-            features = convolve(features, kernel)
-            features += bias
-            self._activate(features, features)
-        features = features.reshape(len(features), -1)
-        for weight, bias in self._layers:
-            features = features @ weight.T
-            features += bias
-            self._activate(features, features)
-        return features @ self._head + self._head_bias
+        return self._torso.batch(obs) @ self._head + self._head_bias
 
     def _prepare(self) -> None:
-        """The parameters in double precision; the fixed scale of the inputs goes into the first layer's weights."""
-        about = self.trained_on
-        tensors = {name: tensor.astype(np.float64) for name, tensor in self._tensors.items()}
-        scale = np.asarray(about.observation_scale)
-        is_image = len(about.observation_shape) == 3
-        prefix = "torso.dense.layers" if is_image else "torso.layers"
-        self._kernels: list[tuple[np.ndarray, np.ndarray]] = []
-        if is_image:
-            names = [(f"torso.kernels.{i}", f"torso.biases.{i}") for i in range(len(CHANNELS))]
-            self._kernels = [(tensors[kernel], tensors[bias]) for kernel, bias in names]
-            kernel, bias = self._kernels[0]
-            self._kernels[0] = (kernel * scale[:, None], bias)
-        names = [(f"{prefix}.{i}.weight", f"{prefix}.{i}.bias") for i in range(len(about.hidden))]
-        self._layers = [(tensors[weight], tensors[bias]) for weight, bias in names]
-        if not is_image:
-            weight, bias = self._layers[0]
-            self._layers[0] = (weight * scale, bias)
-        self._head = tensors["value_head.weight"][0]
+        """The parameters in double precision."""
+        about, tensors = self.trained_on, self._tensors
+        torso = numpy_torso_for(about.observation_shape)
+        self._torso = torso(tensors, about.hidden, about.observation_scale, about.activation)
+        self._head = tensors["value_head.weight"][0].astype(np.float64)
         self._head_bias = float(tensors["value_head.bias"][0])
-        self._activate = np.tanh if about.activation == "tanh" else _relu
 
     def __getstate__(self) -> dict:
         return {"trained_on": self.trained_on, "_tensors": self._tensors}
@@ -104,7 +72,3 @@ class NumpyPotential:
 
     def __repr__(self) -> str:
         return f"NumpyPotential(family={self.trained_on.family!r}, gamma={self.gamma}, seed={self.trained_on.seed})"
-
-
-def _relu(features: np.ndarray, out: np.ndarray) -> np.ndarray:
-    return np.maximum(features, 0.0, out=out)

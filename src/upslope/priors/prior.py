@@ -8,11 +8,12 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from upslope.errors import UpslopeError
+from upslope.errors import DamagedFileError, UpslopeError
 from upslope.networks.dueling import DuelingQ
+from upslope.networks.heads import HEADS
+from upslope.networks.tensors import from_tensors, to_tensors
 from upslope.priors.numpy_potential import NumpyPotential
 from upslope.priors.prior_file import TrainedOn, read_prior_file, write_prior_file
 from upslope.tasks.family import AbstractFamily
@@ -73,8 +74,7 @@ class Prior:
 
     def to_numpy(self) -> NumpyPotential:
         """Φ = V_θ in plain numpy, for host processes: a few microseconds a call, and no JAX."""
-        tensors = {name: np.asarray(leaf) for name, leaf in _named_leaves(self.network)}
-        return NumpyPotential(self.trained_on, tensors)
+        return NumpyPotential(self.trained_on, to_tensors(self.network))
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Writes one safetensors file: the parameters, and `TrainedOn` as its JSON header.
@@ -82,8 +82,7 @@ class Prior:
         Raises:
             UpslopeError: the file exists already or can't be written.
         """
-        tensors = {name: np.asarray(leaf) for name, leaf in _named_leaves(self.network)}
-        write_prior_file(Path(path), self.trained_on, tensors, overwrite=overwrite)
+        write_prior_file(Path(path), self.trained_on, to_tensors(self.network), overwrite=overwrite)
 
     @classmethod
     def load(cls, path: str | Path) -> "Prior":
@@ -93,7 +92,10 @@ class Prior:
             UpslopeError: a missing, damaged, foreign or newer file, or one with non-finite parameters.
         """
         trained_on, tensors = read_prior_file(Path(path))
-        return cls(_fill(trained_on, tensors), trained_on)
+        try:
+            return cls(from_tensors(_skeleton(trained_on), tensors), trained_on)
+        except ValueError as error:
+            raise DamagedFileError(f"{path} is damaged ({error}): make the prior again.") from error
 
 
 def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: dict[str, Any]) -> TrainedOn:
@@ -105,6 +107,7 @@ def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: d
         observation_scale=family.observation_scale,
         actions=family.actions.count,
         hidden=network.torso.hidden,
+        head=network.advantage_head.name,
         activation=network.torso.activation,
         seed=seed,
         settings=settings,
@@ -112,9 +115,15 @@ def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: d
     )
 
 
-def _fill(trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> DuelingQ:
-    """A network of the header's sizes with the file's parameters."""
-    skeleton = eqx.filter_eval_shape(
+def _skeleton(trained_on: TrainedOn) -> DuelingQ:
+    """The shapes of a network of the header's sizes.
+
+    Raises:
+        ValueError: a head that this version doesn't know.
+    """
+    if trained_on.head not in HEADS:
+        raise ValueError(f"its advantage head {trained_on.head!r} is unknown")
+    return eqx.filter_eval_shape(
         DuelingQ,
         jax.random.key(0),
         trained_on.observation_shape,
@@ -122,11 +131,5 @@ def _fill(trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> DuelingQ:
         trained_on.hidden,
         trained_on.observation_scale,
         trained_on.activation,
+        HEADS[trained_on.head],
     )
-    leaves = [jnp.asarray(tensors[name]) for name, _ in _named_leaves(skeleton)]
-    return jax.tree.unflatten(jax.tree.structure(skeleton), leaves)
-
-
-def _named_leaves(network: Any) -> list[tuple[str, Any]]:
-    leaves, _ = jax.tree_util.tree_flatten_with_path(network)
-    return [(jax.tree_util.keystr(path, simple=True, separator="."), leaf) for path, leaf in leaves]

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import asdict, dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,10 +9,12 @@ import numpy as np
 
 from upslope import storage
 from upslope.errors import DamagedFileError, NotSavedError, UpslopeError
-from upslope.networks.numpy_convolution import CHANNELS
+from upslope.networks.numpy_torsos import NUMPY_TORSOS, numpy_torso_for
 
 FORMAT = "upslope-prior"
-FORMAT_VERSION = 1
+#: Format 2 names the advantage head; files of format 1 have the discrete one.
+FORMAT_VERSION = 2
+READABLE_VERSIONS = (1, 2)
 ACTIVATIONS = ("relu", "tanh")
 
 
@@ -32,6 +33,7 @@ class TrainedOn:
         seed: of the meta-training.
         settings: of the meta-training, and what was measured at its end.
         version: of upslope.
+        head: name of the advantage head.
     """
 
     family: str
@@ -44,6 +46,7 @@ class TrainedOn:
     seed: int
     settings: dict[str, Any] = field(default_factory=dict)
     version: str = ""
+    head: str = "discrete"
 
 
 def write_prior_file(
@@ -72,7 +75,7 @@ def read_prior_file(path: Path) -> tuple[TrainedOn, dict[str, np.ndarray]]:
     """
     if not path.is_file():
         raise DamagedFileError(f"There is no prior at {path}: give the file that `upslope meta-train` wrote.")
-    header, tensors, _ = storage.read(path, FORMAT, FORMAT_VERSION)
+    header, tensors, _ = storage.read(path, FORMAT, *READABLE_VERSIONS)
     try:
         entries = header["trained_on"]
         for name in ("observation_shape", "observation_scale", "hidden"):
@@ -89,7 +92,9 @@ def _check_header(trained_on: TrainedOn) -> None:
     """Raises ValueError where the header's entries make no network or no discount."""
     shape, scale, gamma = trained_on.observation_shape, trained_on.observation_scale, trained_on.gamma
     sizes = (*shape, *trained_on.hidden, trained_on.actions)
-    if not (len(shape) in (1, 3) and trained_on.hidden and all(isinstance(size, int) and size > 0 for size in sizes)):
+    if not (
+        len(shape) in NUMPY_TORSOS and trained_on.hidden and all(isinstance(size, int) and size > 0 for size in sizes)
+    ):
         raise ValueError("its sizes make no network")
     if len(scale) != shape[-1] or not all(
         isinstance(factor, int | float) and math.isfinite(factor) for factor in scale
@@ -102,12 +107,13 @@ def _check_header(trained_on: TrainedOn) -> None:
 
 
 def _check_tensors(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> None:
-    """Whether the file holds exactly the tensors that its header announces, all of finite numbers."""
-    announced = tensor_shapes(trained_on)
-    if sorted(announced) != sorted(tensors):
+    """Whether torso and V head are those that the header announces, and all else is the A head's; all finite."""
+    announced = potential_shapes(trained_on)
+    foreign = [name for name in tensors if name not in announced and not name.startswith("advantage_head.")]
+    if foreign or not announced.keys() <= tensors.keys():
         raise DamagedFileError(f"{path} holds other tensors than its header announces: make the prior again.")
-    for name, shape in announced.items():
-        tensor = tensors[name]
+    for name, tensor in tensors.items():
+        shape = announced.get(name, tensor.shape)
         if tensor.shape != shape or tensor.dtype != np.float32:
             raise DamagedFileError(
                 f"{path}: {name} is {tensor.dtype}{list(tensor.shape)}, but the header announces "
@@ -117,21 +123,8 @@ def _check_tensors(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndar
             raise DamagedFileError(f"{path}: {name} holds numbers that are not finite: make the prior again.")
 
 
-def tensor_shapes(trained_on: TrainedOn) -> dict[str, tuple[int, ...]]:
-    """The names and shapes of the tensors of a dueling network: on vectors, or on maps with the paper's kernels."""
-    shape = trained_on.observation_shape
-    shapes: dict[str, tuple[int, ...]] = {}
-    prefix, inputs = "torso.layers", shape[0]
-    if len(shape) == 3:
-        pairs = enumerate(pairwise((shape[-1], *CHANNELS)))
-        shapes = {f"torso.kernels.{i}": (3, 3, n, m) for i, (n, m) in pairs}
-        shapes |= {f"torso.biases.{i}": (m,) for i, m in enumerate(CHANNELS)}
-        prefix, inputs = "torso.dense.layers", shape[0] * shape[1] * CHANNELS[-1]
-    widths = (inputs, *trained_on.hidden)
-    layers = {f"{prefix}.{i}": (m, n) for i, (n, m) in enumerate(pairwise(widths))}
-    layers |= {"value_head": (1, widths[-1]), "advantage_head": (trained_on.actions, widths[-1])}
-    return shapes | {
-        f"{name}.{part}": size
-        for name, size_of in layers.items()
-        for part, size in (("weight", size_of), ("bias", size_of[:1]))
-    }
+def potential_shapes(trained_on: TrainedOn) -> dict[str, tuple[int, ...]]:
+    """The names and shapes of the tensors behind Φ: those of the torso and the V head."""
+    torso = numpy_torso_for(trained_on.observation_shape)
+    head = {"value_head.weight": (1, trained_on.hidden[-1]), "value_head.bias": (1,)}
+    return torso.tensor_shapes(trained_on.observation_shape, trained_on.hidden) | head

@@ -2,14 +2,16 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from upslope.tasks.actions import Actions
-from upslope.types import Key, Observation, Policy, Task, Transition
+from upslope.types import Key, Policy, Task, Transition
+
+Network = TypeVar("Network")
 
 
 class AbstractFamily(eqx.Module):
@@ -44,17 +46,10 @@ class AbstractFamily(eqx.Module):
     @abstractmethod
     def lists_states(self) -> bool: ...
 
+    @property
     @abstractmethod
-    def all_observations(self, task: Task) -> Float[Array, "states *obs"]:
-        """The observation of every state of one task.
-
-        Raises:
-            UpslopeError: states can't be listed.
-        """
-
-    @abstractmethod
-    def state_number(self, obs: Observation) -> Int[Array, ""]:
-        """The number of the state that an observation shows: its place in `all_observations`.
+    def states(self) -> Any:
+        """``observe_all(task)``, the observation of every state, and ``state_number(obs)``, its place there.
 
         Raises:
             UpslopeError: states can't be listed.
@@ -87,6 +82,15 @@ class AbstractFamily(eqx.Module):
     @abstractmethod
     def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
         """The raw, undiscounted return of one fresh episode on each of ``n`` stacked tasks."""
+
+    @abstractmethod
+    def acting_network(self, newest: Network, previous: Network) -> Network:
+        """Which network collects the next experience, after an update: where it is collected meanwhile, the one before.
+
+        Args:
+            newest: after the update.
+            previous: before it.
+        """
 
     def sample_many(self, key: Key, count: int) -> Task:
         """Draws ``count`` tasks as one stacked PyTree ``[count, ...]``."""

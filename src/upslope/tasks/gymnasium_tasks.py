@@ -15,11 +15,11 @@ from upslope.rollouts.host_environments import Episodes, HostEnvironments, Mode
 from upslope.rollouts.task_slot import made
 from upslope.tasks.abstract_evaluation import evaluated_abstractly
 from upslope.tasks.actions import Actions, ContinuousActions, DiscreteActions
-from upslope.tasks.family import AbstractFamily, recipe_of
+from upslope.tasks.family import AbstractFamily, Network, recipe_of
 from upslope.tasks.host_acting import acting, reset_and_act, seed_of
 from upslope.tasks.observation_scale import scale_of
 from upslope.tasks.task_protocol import of_protocol
-from upslope.types import Acting, Key, Observation, Policy, Task, Transition
+from upslope.types import Acting, Key, Policy, Task, Transition
 
 
 class RunningHost(eqx.Module):
@@ -119,11 +119,13 @@ class GymnasiumTasks(AbstractFamily):
     def lists_states(self) -> bool:
         return False
 
-    def all_observations(self, task: Task) -> Float[Array, "states *obs"]:
-        raise UpslopeError(_UNLISTED)
+    @property
+    def states(self) -> Any:
+        raise UpslopeError("The states of Gymnasium environments can't be listed.")
 
-    def state_number(self, obs: Observation) -> Int[Array, ""]:
-        raise UpslopeError(_UNLISTED)
+    def acting_network(self, newest: Network, previous: Network) -> Network:
+        del newest  # it is computed while the environments take their steps
+        return previous
 
     def sample(self, key: Key) -> Task:
         return jax.random.key_data(key)
@@ -221,9 +223,6 @@ class GymnasiumTasks(AbstractFamily):
             )
         sample = self.sample_task  # looked up once: a module's attributes cost more than a draw
         return [_drawn(sample, row) for row in words]
-
-
-_UNLISTED = "The states of Gymnasium environments can't be listed."
 
 
 def _kind(space: Any) -> Actions:

@@ -23,7 +23,7 @@ def acting(policy: Policy, key: Key, environments: int, actions: int, steps: int
         steps: how many will be taken.
     """
     keys = _act_keys(key, steps)
-    on_host = getattr(policy, "on_host", lambda *_: None)(keys, (environments, actions))
+    on_host = getattr(policy, "on_host", lambda *_: None)(keys, environments)
     if on_host is not None:
         return on_host
     return lambda: lambda step, obs: np.asarray(_act(policy, keys, jnp.asarray(step), jnp.asarray(obs)))

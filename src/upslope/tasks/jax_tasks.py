@@ -7,12 +7,12 @@ from typing import Any, ClassVar, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from upslope.errors import UpslopeError
 from upslope.tasks.actions import Actions
-from upslope.tasks.family import AbstractFamily
-from upslope.types import Key, Keys, Observation, Policy, Task, Transition
+from upslope.tasks.family import AbstractFamily, Network
+from upslope.types import Key, Keys, Policy, Task, Transition
 
 
 class RunningEnvironments(eqx.Module):
@@ -61,16 +61,15 @@ class JaxTasks(AbstractFamily):
     def lists_states(self) -> bool:
         return hasattr(self.env, "observe_all")
 
-    def all_observations(self, task: Task) -> Float[Array, "states *obs"]:
-        return self._listed().observe_all(task)
-
-    def state_number(self, obs: Observation) -> Int[Array, ""]:
-        return self._listed().state_number(obs)
-
-    def _listed(self) -> Any:
+    @property
+    def states(self) -> Any:
         if not self.lists_states:
             raise UpslopeError(f"The states of {self.name} tasks can't be listed: env has no observe_all.")
         return self.env
+
+    def acting_network(self, newest: Network, previous: Network) -> Network:
+        del previous
+        return newest
 
     def sample(self, key: Key) -> Task:
         return self.sample_params(key)

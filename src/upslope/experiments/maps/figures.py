@@ -21,7 +21,8 @@ from upslope.experiments.shaping_panel import shaping_panel
 from upslope.experiments.statistics import paired_shortfall
 from upslope.learners import dqn
 from upslope.learners.dqn import DQNConfig
-from upslope.meta_training.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import ITERATIONS, for_grid_games, multi_task_dqn
 from upslope.planning.measures import measure_all, truths
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session

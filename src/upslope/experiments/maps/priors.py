@@ -16,7 +16,7 @@ from upslope.experiments.keys import Purpose, key_for, keys_for
 from upslope.experiments.maps.readings import GridPriorsConfig, Maps, stage
 from upslope.experiments.results import circumstances
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.dueling import DuelingQ
 from upslope.planning.exact import lookahead, steps_to_reward
 from upslope.planning.grid_potentials import manhattan_distance
@@ -157,7 +157,7 @@ def examined(
         known, task = pair
         features = jax.vmap(network.torso)(family.env.observe_all(task))
         value, advantage = jax.vmap(network.heads_on)(features)
-        q = jax.vmap(dueling_q)(value, advantage)
+        q = dueling_q(value[:, None], advantage, advantage.max(-1, keepdims=True))
         return measure(known, value, q, family.max_steps), td_residual(known, value, q), features
 
     # One task at a time: on CPUs convolutions are twice as fast on what the caches hold.

@@ -3,7 +3,9 @@
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
-from upslope.meta_training.recipes import ITERATIONS, MetaTrainingConfig, for_grid_games, multi_task_dqn
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import HeadsPosterior, WeightsPosterior
+from upslope.meta_training.recipes import ITERATIONS, for_grid_games, multi_task_dqn
 
 Maps = Literal["obstacles", "clean"]
 
@@ -61,30 +63,35 @@ def grid_readings(iterations: int = 1500) -> GridPriorsConfig:
         for_grid_games(max(1, iterations * 6 // 11)),
         for_grid_games(max(1, iterations * 3 // 10)),
     )
-    normalised: dict[str, Any] = {"inner_step_size": 0.5, "normalised_steps": True}
+    weights: dict[str, Any] = {"environments": 16, "reward_weight": 5.0, "advantage_weight": 30.0}
+    normalised = weights | {"inner_step_size": 0.5, "normalised_steps": True}
     return GridPriorsConfig(
         "obstacles",
         {
             "algorithm1": Reading("φ a table, N = 30", recipe),
-            "three_steps": Reading("φ a table, N = 3", replace(recipe, inner_steps=3)),
-            "one_step": Reading("φ a table, N = 1", replace(recipe, inner_steps=1)),
-            "one_each": Reading("a φ for each pair, N = 1", replace(recipe, inner_steps=1, inner_step_size=0.5)),
-            "unweighted": Reading("φ a table, N = 30, Eq. 7 alone", replace(recipe, advantage_weight=0.0)),
-            "heads": Reading("φ the heads, N = 30, normalised", replace(recipe, posterior="heads", **normalised)),
+            "three_steps": Reading("φ a table, N = 3", recipe.with_posterior(inner_steps=3)),
+            "one_step": Reading("φ a table, N = 1", recipe.with_posterior(inner_steps=1)),
+            "one_each": Reading("a φ for each pair, N = 1", recipe.with_posterior(inner_steps=1, inner_step_size=0.5)),
+            "unweighted": Reading("φ a table, N = 30, Eq. 7 alone", recipe.with_posterior(advantage_weight=0.0)),
+            "heads": Reading(
+                "φ the heads, N = 30, normalised",
+                replace(recipe, posterior=HeadsPosterior(inner_steps=30, **normalised)),
+            ),
             "heads_fixed": Reading(
-                "φ the heads, N = 30, α = 0.1", replace(recipe, posterior="heads", inner_step_size=0.1)
+                "φ the heads, N = 30, α = 0.1",
+                replace(recipe, posterior=HeadsPosterior(inner_steps=30, inner_step_size=0.1, **weights)),
             ),
             "weights": Reading(
                 "φ all weights, N = 1, normalised",
-                replace(one_pass_more, posterior="weights", inner_steps=1, **normalised),
+                replace(one_pass_more, posterior=WeightsPosterior(inner_steps=1, **normalised)),
             ),
             "weights_fixed": Reading(
                 "φ all weights, N = 1, α = 0.01",
-                replace(one_pass_more, posterior="weights", inner_steps=1, inner_step_size=0.01),
+                replace(one_pass_more, posterior=WeightsPosterior(inner_steps=1, inner_step_size=0.01, **weights)),
             ),
             "weights_three": Reading(
                 "φ all weights, N = 3, normalised",
-                replace(three_more, posterior="weights", inner_steps=3, **normalised),
+                replace(three_more, posterior=WeightsPosterior(inner_steps=3, **normalised)),
             ),
             "multi_task_dqn": Reading("multi-task DQN", multi_task_dqn(max(1, iterations * 8 // 9))),
         },

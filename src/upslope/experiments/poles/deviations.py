@@ -12,7 +12,8 @@ from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import Priors, meta_train_priors, zero_shot_returns
 from upslope.experiments.results import circumstances
 from upslope.learners.policies import EpsilonGreedy
-from upslope.meta_training.recipes import MetaTrainingConfig, as_printed
+from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.recipes import as_printed
 from upslope.networks.dueling import DuelingQ
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
@@ -25,10 +26,10 @@ VARIANTS: dict[str, tuple[str, MetaTrainingConfig]] = {
     "0": ("the recipe", RECIPE),
     "1": ("Algorithm 1 to the letter, SGD with β = 0.1", as_printed()),
     "1b": ("to the letter, Adam with β = 0.005", replace(as_printed(), outer_optimiser="adam", outer_step_size=0.005)),
-    "1c": ("to the letter, semi-gradient of Eq. 5", replace(as_printed(), td_gradient="semi")),
-    "2": ("Q_φ kept in the graph as the target of Eq. 7", replace(RECIPE, outer_target="kept")),
-    "2b": ("the same, first order", replace(RECIPE, outer_target="kept", first_order=True)),
-    "3": ("no target network", replace(RECIPE, target_decay=None)),
+    "1c": ("to the letter, semi-gradient of Eq. 5", as_printed().with_posterior(td_gradient="semi")),
+    "2": ("Q_φ kept in the graph as the target of Eq. 7", RECIPE.with_posterior(outer_target="kept")),
+    "2b": ("the same, first order", RECIPE.with_posterior(outer_target="kept", first_order=True)),
+    "3": ("no target network", RECIPE.with_posterior(target_decay=None)),
     "4": ("one outer update per iteration", replace(RECIPE, outer_updates=1)),
     "5": ("β constant", replace(RECIPE, outer_step_size_end=RECIPE.outer_step_size)),
     "6": (
@@ -40,8 +41,8 @@ VARIANTS: dict[str, tuple[str, MetaTrainingConfig]] = {
     "9": ("no average of θ", replace(RECIPE, averaging=0.0)),
     "10": ("no selection among snapshots", replace(RECIPE, select_from=1.0)),
     "10b": ("selection from the second half only", replace(RECIPE, select_from=0.5)),
-    "11": ("full gradient of Eq. 5", replace(RECIPE, td_gradient="full")),
-    "12": ("N = 3 inner steps", replace(RECIPE, inner_steps=3)),
+    "11": ("full gradient of Eq. 5", RECIPE.with_posterior(td_gradient="full")),
+    "12": ("N = 3 inner steps", RECIPE.with_posterior(inner_steps=3)),
 }
 
 

@@ -30,7 +30,7 @@ from upslope.experiments.results import FigureResult, Panel
 from upslope.experiments.shaping_panel import shaping_arms, shaping_learners, shaping_panel
 from upslope.learners.ddpg import DDPGConfig
 from upslope.learners.dqn import DQNConfig
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.ahead import Ahead
 from upslope.run.compiling import compile_clock
 from upslope.run.loop import expect

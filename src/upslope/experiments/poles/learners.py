@@ -12,7 +12,7 @@ from upslope.experiments.results import circumstances
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
 from upslope.learners.ddpg import DDPGConfig
 from upslope.learners.dqn import DQNConfig
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
 from upslope.tasks import cartpoles

@@ -16,7 +16,7 @@ from upslope.experiments.priors import describe_priors, mean_levels, meta_train_
 from upslope.experiments.results import circumstances, write_json
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
 from upslope.learners.dqn import DQNConfig
-from upslope.meta_training.recipes import MetaTrainingConfig
+from upslope.meta_training.config import MetaTrainingConfig
 from upslope.priors.prior import Prior, trained_on
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session

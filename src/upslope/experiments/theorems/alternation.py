@@ -48,23 +48,18 @@ def alternate(mdp: TabularMDP, tables: Tables, ratio: float | Array) -> Tables:
     """One step of Eq. 8 in expectation over the outcomes, with Φ = V, then one of Eq. 9, ``ratio`` times as long."""
     states = mdp.acting
     shaped = shape_mdp(mdp, tables.value)
-    following = jax.lax.stop_gradient(tables.advantage)[mdp.successors]
+    following = jax.lax.stop_gradient(tables.advantage.max(-1))[mdp.successors]
 
     def advantage_objective(advantage: Float[Array, "states actions"]) -> Array:
-        def one(scores: Array, action: Array, reward: Array, discount: Array, following: Array, chance: Array) -> Array:
-            losses = jax.vmap(advantage_loss, (None, None, 0, 0, 0))(scores, action, reward, discount, following)
-            return jnp.sum(chance * losses)
-
-        actions = jnp.arange(advantage.shape[-1])
-        over_actions = jax.vmap(one, (None, 0, 0, 0, 0, 0))
-        over_states = jax.vmap(over_actions, (0, None, 0, 0, 0, 0))
-        losses = over_states(advantage, actions, shaped.rewards, mdp.discounts, following, mdp.probabilities)
+        # The outcomes of a state and action have the last axis.
+        of_outcomes = advantage_loss(advantage[..., None], shaped.rewards, mdp.discounts, following)
+        losses = jnp.sum(mdp.probabilities * of_outcomes, axis=-1)
         return jnp.sum(losses, where=states[:, None])
 
     advantage = descend(tables.advantage, jax.grad(advantage_objective)(tables.advantage), TABLE_STEP)
 
     def value_objective(value: Float[Array, "states"]) -> Array:
-        return jnp.sum(jax.vmap(value_loss)(value, advantage), where=states)
+        return jnp.sum(value_loss(value, advantage.max(-1)), where=states)
 
     return Tables(advantage, descend(tables.value, jax.grad(value_objective)(tables.value), ratio * TABLE_STEP))
 

@@ -1,0 +1,101 @@
+"""Algorithm 1's settings: what every posterior uses."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+import optax
+from jaxtyping import Float
+
+from upslope.meta_training.posteriors import (
+    HeadsPosterior,
+    NetworkPosterior,
+    TablePosterior,
+    WeightsPosterior,
+)
+from upslope.meta_training.posteriors.checks import check_counts, check_shares
+from upslope.networks.convolution import Precision
+from upslope.networks.torso import Activation
+
+Posterior = NetworkPosterior | TablePosterior | HeadsPosterior | WeightsPosterior
+
+
+@dataclass(frozen=True)
+class MetaTrainingConfig:
+    """Settings of Algorithm 1. Each difference from the paper is an option here, described in docs/deviations.md.
+
+    Attributes:
+        iterations: meta-iterations.
+        tasks: tasks sampled in each iteration.
+        steps_per_task: environment steps in each task's (or each of its environments') fresh replay.
+        hidden: widths of the hidden layers.
+        activation: of the hidden layers; the paper names none.
+        head: name of the advantage head; None takes the one for the family's kind of action.
+        posterior: what of θ each task adapts, and how.
+        outer_step_size: β at the start.
+        outer_step_size_end: β at the end; it falls linearly.
+        outer_warmup: outer steps over which β rises to its start, linearly.
+        outer_optimiser: plain gradient descent, as printed, or Adam.
+        outer_updates: outer steps per iteration, each on a fresh draw from the same replays.
+        epsilon: random-action share of the first and of the last task (or environment); the rest are spaced evenly.
+        averaging: decay per iteration of the moving average of θ that is the prior; 0 takes θ itself, as printed.
+        select_from: the prior is the best snapshot after this share of training, by its greedy return on extra
+            training tasks; 1 takes the last, as printed.
+        snapshot_every: iterations between snapshots.
+        evaluation_tasks: extra training tasks, never test tasks, on which snapshots are tried.
+        evaluation_episodes: greedy episodes on each of them.
+        precision: of what convolutions multiply; GPUs are faster with less than float32, CPUs only round.
+    """
+
+    iterations: int = 500
+    tasks: int = 10
+    steps_per_task: int = 200
+    hidden: tuple[int, ...] = (32, 32)
+    activation: Activation = "tanh"
+    head: str | None = None
+    posterior: Posterior = field(default_factory=NetworkPosterior)
+    outer_step_size: float = 0.005
+    outer_step_size_end: float = 0.0005
+    outer_warmup: int = 0
+    outer_optimiser: Literal["adam", "sgd"] = "adam"
+    outer_updates: int = 4
+    epsilon: tuple[float, float] = (0.05, 0.95)
+    averaging: float = 0.97
+    select_from: float = 0.2
+    snapshot_every: int = 10
+    evaluation_tasks: int = 20
+    evaluation_episodes: int = 3
+    precision: Precision = "float32"
+
+    def __post_init__(self) -> None:
+        check_counts(self, "iterations", "tasks", "steps_per_task", "outer_updates", "snapshot_every")
+        check_counts(self, "evaluation_tasks", "evaluation_episodes")
+        check_shares(averaging=self.averaging, select_from=self.select_from)
+        for share in self.epsilon:
+            check_shares(epsilon=share)
+
+    def with_posterior(self, **changes: Any) -> "MetaTrainingConfig":
+        """The same settings, some of the posterior's changed."""
+        return replace(self, posterior=replace(self.posterior, **changes))
+
+    def optimiser(self) -> optax.GradientTransformation:
+        """The outer optimiser, β rising and falling as the settings say."""
+        updates = self.iterations * self.outer_updates - self.outer_warmup
+        schedule = optax.linear_schedule(self.outer_step_size, self.outer_step_size_end, max(updates, 1))
+        if self.outer_warmup:
+            rise = optax.linear_schedule(0.0, self.outer_step_size, self.outer_warmup)
+            schedule = optax.join_schedules([rise, schedule], [self.outer_warmup])
+        return {"adam": optax.adam, "sgd": optax.sgd}[self.outer_optimiser](schedule)
+
+    def best_snapshot(self, returns: Float[np.ndarray, "snapshots"]) -> int:
+        """Which snapshot becomes the prior: of those after ``select_from``, the best on extra training tasks.
+
+        Args:
+            returns: each snapshot's greedy return, evenly spaced over the training, the first of them before any.
+
+        Returns:
+            Its index; among equals the last.
+        """
+        first = min(int(np.ceil(self.select_from * (len(returns) - 1))), len(returns) - 1)
+        candidates = np.asarray(returns)[first:]
+        return len(returns) - 1 - int(candidates[::-1].argmax())

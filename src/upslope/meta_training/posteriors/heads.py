@@ -1,0 +1,68 @@
+"""φ_i is θ with two heads of its own, adapted to all of D_i."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+
+from upslope.equations.losses import dueling_q
+from upslope.equations.maml import adapt
+from upslope.meta_training.posteriors.finite import AbstractFinitePosterior, FiniteSamples, QTable, mean_td_loss
+from upslope.networks.dueling import DuelingQ
+from upslope.networks.torso import AbstractTorso
+from upslope.types import Keys
+
+
+@dataclass(frozen=True)
+class HeadsPosterior(AbstractFinitePosterior):
+    """The torso stays θ's; V head and A head are the task's.
+
+    Attributes:
+        environments: of each task, side by side, each with its own ε.
+        inner_step_size: α.
+        inner_steps: N.
+        reward_weight: how often rewarded pairs of state and action count in the outer loss.
+        advantage_weight: weight, in the outer loss, of how the errors differ between the actions of a state.
+        normalised_steps: use Polyak's steps: α is the share of a single squared error that one step removes.
+    """
+
+    name: str = field(default="heads", init=False)
+
+    normalised_steps: bool = False
+
+    def in_sequence(self, torso: type[AbstractTorso]) -> bool:
+        del torso
+        return False  # all tasks share the convolutions
+
+    def draw(self, keys: Keys, replays: FiniteSamples, target: DuelingQ) -> FiniteSamples:
+        del keys, target
+        return replays
+
+    def adapt(self, theta: DuelingQ, samples: FiniteSamples) -> QTable:
+        """Q_φ of a task in every state."""
+        theta = jax.lax.stop_gradient(theta)
+        features = jax.vmap(theta.torso)(samples.observations)
+
+        def q(heads: tuple[Any, Any]) -> QTable:
+            value_head, head = heads
+            outputs = jax.vmap(head)(features)
+            return dueling_q(jax.vmap(value_head)(features), head.each(outputs), head.highest(outputs)[:, None])
+
+        def loss(heads: tuple[Any, Any], samples: FiniteSamples) -> Any:
+            return mean_td_loss(q(heads), samples.steps)
+
+        heads = (theta.value_head, theta.advantage_head)
+        return q(
+            adapt(
+                loss,
+                heads,
+                samples,
+                step_size=self.inner_step_size,
+                steps=self.inner_steps,
+                normalised=self.normalised_steps,
+            )
+        )
+
+    def next_target(self, theta: DuelingQ, target: DuelingQ) -> DuelingQ:
+        del target
+        return theta

@@ -1,0 +1,124 @@
+"""Advantage heads: how A(s, ·) depends on the action, with its maximum in closed form (Eq. 6 needs it exactly)."""
+
+from abc import abstractmethod
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float, Int
+
+from upslope.errors import UpslopeError
+from upslope.types import Action, Key
+
+
+class AbstractAdvantageHead(eqx.Module):
+    """One affine map from features to outputs, and how A is read from the outputs.
+
+    The readings work on JAX's and NumPy's arrays alike, for one state's outputs ``[units]`` or many ``[..., units]``.
+
+    Attributes:
+        name: in files and settings.
+        action_kind: "discrete" or "continuous".
+        weight: of the affine map.
+        bias: likewise.
+    """
+
+    name: eqx.AbstractClassVar[str]
+    action_kind: eqx.AbstractClassVar[str]
+
+    weight: eqx.AbstractVar[Float[Array, "*batch units features"]]
+    bias: eqx.AbstractVar[Float[Array, "*batch units"]]
+
+    @classmethod
+    @abstractmethod
+    def fresh(cls, key: Key, features: int, actions: int) -> Self:
+        """A head with random weights.
+
+        Args:
+            key: of the weights.
+            features: how many there are.
+            actions: how many discrete actions, or numbers in a continuous one.
+        """
+
+    @abstractmethod
+    def __call__(self, features: Float[Array, "features"]) -> Float[Array, "units"]:
+        """The outputs for one state's features."""
+
+    @abstractmethod
+    def advantage(self, outputs: Any, action: Action) -> Any:
+        """A(s, a), raw: Eq. 6 does not pin down its level."""
+
+    @abstractmethod
+    def highest(self, outputs: Any) -> Any:
+        """Max over a of A(s, a), exactly."""
+
+    @abstractmethod
+    def best(self, outputs: Any) -> Any:
+        """The action at which A(s, ·) is highest."""
+
+    @abstractmethod
+    def each(self, outputs: Any) -> Any:
+        """A(s, a) of every action ``[..., actions]``, where actions can be listed.
+
+        Raises:
+            UpslopeError: they can't.
+        """
+
+    @abstractmethod
+    def random(self, key: Key, count: int) -> Any:
+        """Uniformly random actions ``[count, ...]``."""
+
+
+class DiscreteHead(AbstractAdvantageHead):
+    """One output for each action: A(s, a) itself."""
+
+    name: ClassVar[str] = "discrete"
+    action_kind: ClassVar[str] = "discrete"
+
+    weight: Float[Array, "*batch actions features"]
+    bias: Float[Array, "*batch actions"]
+
+    @classmethod
+    def fresh(cls, key: Key, features: int, actions: int) -> Self:
+        layer: Any = eqx.nn.Linear(features, actions, key=key)
+        return cls(layer.weight, layer.bias)
+
+    def __call__(self, features: Float[Array, "features"]) -> Float[Array, "actions"]:
+        return self.weight @ features + self.bias
+
+    def advantage(self, outputs: Any, action: Int[Array, ""] | int) -> Any:
+        return outputs[..., action]
+
+    def highest(self, outputs: Any) -> Any:
+        return outputs.max(-1)
+
+    def best(self, outputs: Any) -> Any:
+        return outputs.argmax(-1)  # the method: NumPy's function of that name takes five times as long to start
+
+    def each(self, outputs: Any) -> Any:
+        return outputs
+
+    def random(self, key: Key, count: int) -> Int[Array, "count"]:
+        return jax.random.randint(key, (count,), 0, self.bias.shape[-1])
+
+
+#: By name. A new head is one class, in a file of its own, and one line here.
+HEADS: dict[str, type[AbstractAdvantageHead]] = {head.name: head for head in (DiscreteHead,)}
+
+
+def head_class(name: str | None, action_kind: str) -> type[AbstractAdvantageHead]:
+    """The head of a name; None gives the first one for a kind of action.
+
+    Raises:
+        UpslopeError: there is no such head, or it is for other actions.
+    """
+    fitting = {known: head for known, head in HEADS.items() if head.action_kind == action_kind}
+    if name is None and fitting:
+        return next(iter(fitting.values()))
+    if name in fitting:
+        return fitting[name]
+    raise UpslopeError(
+        f"There is no advantage head {'' if name is None else f'{name!r} '}for {action_kind} actions "
+        f"(there is {', '.join(f'{head.name} for {head.action_kind} ones' for head in HEADS.values())}): meta-train on "
+        "a family with discrete actions and the same observations; its V shapes the rewards of any learner."
+    )
