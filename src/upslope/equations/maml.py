@@ -1,7 +1,7 @@
 """Model-agnostic meta-learning, Eqs. 2 and 3: for any way to adapt, and any loss between θ and φ."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,6 @@ from upslope.types import Scalar
 
 Params = TypeVar("Params")
 Data = TypeVar("Data")
-Posterior = TypeVar("Posterior")
 
 #: A squared gradient below this is no direction to go in.
 _FLAT = 1e-12
@@ -72,8 +71,8 @@ def _polyak(error: Scalar, gradient: Params) -> Scalar:
 
 
 def meta_loss(
-    adapt_to: Callable[[Params, Data], Posterior],
-    distance: Callable[[Params, Posterior, Data], Scalar],
+    adapt_to: Callable[[Params, Data], Any],
+    distance: Callable[[Params, Any, Data], Scalar],
     params: Params,
     data: Data,
 ) -> Scalar:
@@ -91,8 +90,8 @@ def meta_loss(
 
 
 def meta_gradient(
-    adapt_to: Callable[[Params, Data], Posterior],
-    distance: Callable[[Params, Posterior, Data], Scalar],
+    adapt_to: Callable[[Params, Data], Any],
+    distance: Callable[[Params, Any, Data], Scalar],
     params: Params,
     data: Data,
     *,
@@ -127,8 +126,8 @@ def meta_gradient(
 
 
 def outer_step(
-    adapt_to: Callable[[Params, Data], Posterior],
-    distance: Callable[[Params, Posterior, Data], Scalar],
+    adapt_to: Callable[[Params, Data], Any],
+    distance: Callable[[Params, Any, Data], Scalar],
     params: Params,
     data: Data,
     *,

@@ -14,14 +14,14 @@ from upslope.learners.learner import AbstractTaskLearner
 from upslope.learners.policies import Greedy
 from upslope.learners.sharing import mean_of_all, most_devices, own_tasks
 from upslope.meta_training.config import MetaTrainingConfig
-from upslope.meta_training.posteriors.posterior import AbstractPosterior, Replays, Samples, repeat_tasks
+from upslope.meta_training.posteriors.posterior import Replays, Samples, repeat_tasks
 from upslope.meta_training.state import MetaTrainingState
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.heads import head_class
 from upslope.networks.precision import with_precision
 from upslope.networks.torsos import torso_class
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Key, Metrics, Policy, Scalar, Task
+from upslope.types import Key, Metrics, Scalar, Task
 
 
 class MetaTraining(AbstractTaskLearner):
@@ -36,58 +36,71 @@ class MetaTraining(AbstractTaskLearner):
     shared_over: str | None = eqx.field(static=True, default=None)
 
     def gather(self, state: MetaTrainingState) -> Replays:
-        """Lines 3 to 5: sample tasks M_i ~ p(T), and collect their replays D_i."""
+        """Sample a batch of tasks M_i ~ p(T); collect D_i ε-greedily by Q_θ."""
         key, tasks = self.sample_tasks(state.key)
-        return self.collect(key, tasks, self.behaviour(tasks, state.acting))()
+        return self.collect(key, tasks, state.acting)()
 
     def update(self, state: MetaTrainingState, gathered: Replays) -> tuple[MetaTrainingState, Metrics]:
-        """Lines 6 to 9: adapt each φ_i, measure its distance from θ, and take outer steps."""
-        posterior, (key, _, _, update_key) = self.config.posterior, jax.random.split(state.key, 4)
-        replays = own_tasks(gathered, self.shared_over)
+        """Adapt each φ_i to samples of D_i; update θ by the gradient of its mean distance from the φ_i."""
+        adapt, distance = self.config.posterior.adapt, self.config.posterior.distance
+        key, _, _, update_key = jax.random.split(state.key, 4)
 
         def outer_step(carry: tuple[DuelingQ, optax.OptState], key: Key) -> tuple[tuple[DuelingQ, Any], Metrics]:
             theta, optimiser = carry
-            keys = own_tasks(jax.random.split(key, self.config.tasks), self.shared_over)
-            samples = posterior.draw(keys, replays, state.target)
-            loss, gradient = mean_of_all(self.outer_gradient(theta, samples), self.shared_over)
-            change, optimiser = self.config.optimiser().update(gradient, optimiser)
-            metrics = {"outer_loss": loss, "gradient_norm": optax.tree.norm(gradient)}
-            return (optax.apply_updates(theta, change), optimiser), metrics
+            samples = self.draw(key, gathered, state.target)
+            loss, gradient = meta_gradient(adapt, distance, theta, samples, in_sequence=self.in_sequence)
+            return self.descend(theta, optimiser, loss, gradient)
 
-        keys = jax.random.split(update_key, self.config.outer_updates)
-        (theta, optimiser), metrics = jax.lax.scan(outer_step, (state.theta, state.optimiser), keys)
-        following = MetaTrainingState(
-            key,
-            state.trial_key,
-            theta,
-            self.family.acting_network(theta, state.theta),
-            posterior.next_target(theta, state.target),
-            optax.incremental_update(theta, state.average, 1 - self.config.averaging),
-            optimiser,
-        )
-        return following, posterior.vital_signs(gathered) | jax.tree.map(jnp.mean, metrics)
-
-    def outer_gradient(self, theta: DuelingQ, samples: Samples) -> tuple[Scalar, DuelingQ]:
-        """E_i of the distance of θ and φ_i (Eq. 7), φ_i adapted from θ (Eq. 2), and its gradient (Eq. 3)."""
-        posterior: AbstractPosterior = self.config.posterior
-        in_sequence = posterior.in_sequence(type(theta.torso))
-        return meta_gradient(posterior.adapt, posterior.distance, theta, samples, in_sequence=in_sequence)
+        start, keys = (state.theta, state.optimiser), jax.random.split(update_key, self.config.outer_updates)
+        (theta, optimiser), metrics = jax.lax.scan(outer_step, start, keys)
+        vital_signs = self.config.posterior.vital_signs(gathered)
+        return self.following(state, key, theta, optimiser), vital_signs | jax.tree.map(jnp.mean, metrics)
 
     def sample_tasks(self, key: Key) -> tuple[Key, Task]:
         """The tasks ``[tasks, ...]`` of the iteration that begins with this key, and a key to collect with."""
         _, task_key, collect_key, _ = jax.random.split(key, 4)
         return collect_key, self.family.sample_many(task_key, self.config.tasks)
 
-    def behaviour(self, tasks: Task, theta: DuelingQ) -> Policy:
-        """ε-greedy by Q_θ, with its own ε for each task or environment."""
-        return self.config.posterior.policy(theta, self.family, tasks, self.config.epsilon)
-
-    def collect(self, key: Key, tasks: Task, policy: Policy) -> Callable[[], Replays]:
+    def collect(self, key: Key, tasks: Task, theta: DuelingQ) -> Callable[[], Replays]:
         """Fresh replays D_i ``[tasks, ...]``; the environments take their steps when the result is called."""
-        posterior, family = self.config.posterior, self.family
+        family, posterior = self.family, self.config.posterior
+        policy = posterior.policy(theta, family, tasks, self.config.epsilon)
         environments = repeat_tasks(tasks, posterior.environments)
         rollout = family.rollout_later(key, environments, policy, self.config.steps_per_task)
         return lambda: posterior.replays(family, tasks, rollout())
+
+    def draw(self, key: Key, replays: Replays, target: DuelingQ) -> Samples:
+        """Samples of every task on this device ``[tasks, ...]``, for the inner and the outer loss alike."""
+        keys = jax.random.split(key, self.config.tasks)
+        return self.config.posterior.draw(*own_tasks((keys, replays), self.shared_over), target)
+
+    def descend(
+        self, theta: DuelingQ, optimiser: optax.OptState, loss: Scalar, gradient: DuelingQ
+    ) -> tuple[tuple[DuelingQ, optax.OptState], Metrics]:
+        """θ one step of the outer optimiser further, by the mean gradient over all devices."""
+        loss, gradient = mean_of_all((loss, gradient), self.shared_over)
+        change, optimiser = self.config.optimiser().update(gradient, optimiser)
+        metrics = {"outer_loss": loss, "gradient_norm": optax.tree.norm(gradient)}
+        return (optax.apply_updates(theta, change), optimiser), metrics
+
+    def following(
+        self, state: MetaTrainingState, key: Key, theta: DuelingQ, optimiser: optax.OptState
+    ) -> MetaTrainingState:
+        """The state after an iteration that ended at θ."""
+        return MetaTrainingState(
+            key=key,
+            trial_key=state.trial_key,
+            theta=theta,
+            acting=self.family.acting_network(theta, state.theta),
+            target=self.config.posterior.next_target(theta, state.target),
+            average=optax.incremental_update(theta, state.average, 1 - self.config.averaging),
+            optimiser=optimiser,
+        )
+
+    @property
+    def in_sequence(self) -> bool:
+        """Whether tasks are taken one after the other, not side by side."""
+        return self.config.posterior.in_sequence(torso_class(self.family.observation_shape))
 
     def gather_ahead(self, state: MetaTrainingState) -> Callable[[], Replays]:
         return self.collect(*_ahead(self, state.key, state.theta))
@@ -123,8 +136,7 @@ class MetaTraining(AbstractTaskLearner):
 
     def most_devices(self, devices: int) -> int:
         # Cores of one CPU wait for each other at each outer step, and all gather: only long tasks are worth it.
-        torso = torso_class(self.family.observation_shape)
-        is_short = jax.default_backend() == "cpu" and not self.config.posterior.in_sequence(torso)
+        is_short = jax.default_backend() == "cpu" and not self.in_sequence
         return 1 if is_short else most_devices(self.config.tasks, devices)
 
     def over(self, axis: str) -> "MetaTraining":
@@ -132,8 +144,7 @@ class MetaTraining(AbstractTaskLearner):
 
 
 @jax.jit
-def _ahead(learner: MetaTraining, key: Key, theta: DuelingQ) -> tuple[Key, Task, Policy]:
+def _ahead(learner: MetaTraining, key: Key, theta: DuelingQ) -> tuple[Key, Task, DuelingQ]:
     """What the next iteration collects with, in arrays of its own: the state's are consumed meanwhile."""
     following = jax.random.split(key, 4)[0]
-    collect_key, tasks = learner.sample_tasks(following)
-    return collect_key, tasks, learner.behaviour(tasks, jax.tree.map(jnp.copy, theta))
+    return *learner.sample_tasks(following), jax.tree.map(jnp.copy, theta)
