@@ -20,8 +20,8 @@ import tyro
 
 from benchmarks import harness
 from benchmarks.harness import Bar, Part, Row, number
-from upslope.equations.shaping import potential_based
 from upslope.learners.dqn import DQN, DQNConfig
+from upslope.learners.shaping import potential_based
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.priors.potentials import mean_potential, stack

@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationState
-from upslope.equations.shaping import shape
 from upslope.learners.ddpg import DDPG, DDPGState, critic_loss
 from upslope.learners.dqn import DQN, DQNState, dqn_loss
 from upslope.learners.experience import Experience
 from upslope.learners.learner import AbstractLearner
+from upslope.learners.shaping import add_shaping
 from upslope.meta_training.algorithm1 import MetaTraining, MetaTrainingState
 from upslope.types import Scalar, Transition
 
@@ -100,7 +100,7 @@ def sample(learner: Any, state: Any) -> tuple[Any, Scalar]:
 
 
 def _batch(learner: Any, state: Any) -> Transition:
-    return shape(*state.experience.sample(state.key, learner.config.batch_size))
+    return add_shaping(*state.experience.sample(state.key, learner.config.batch_size))
 
 
 def dqn_gradient(learner: DQN, state: DQNState) -> tuple[DQNState, Scalar]:

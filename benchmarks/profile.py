@@ -18,10 +18,10 @@ from benchmarks.harness import Part, Row
 from benchmarks.phases import ADAPTATION_PHASES, DDPG_PHASES, DQN_PHASES, META_TRAINING, Phase
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig
 from upslope.compiler_options import QUICK_TO_COMPILE, QUICK_TO_RUN
-from upslope.equations.shaping import Shaping, potential_based
 from upslope.learners.ddpg import DDPG
 from upslope.learners.dqn import DQN
 from upslope.learners.learner import AbstractLearner, in_turn
+from upslope.learners.shaping import Shaping, potential_based
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.recipes import for_grid_games
 from upslope.priors.potentials import mean_potential, stack

@@ -20,8 +20,8 @@ import upslope
 from benchmarks import harness
 from benchmarks.going import Going
 from benchmarks.harness import Bar, Part, Row
-from upslope.equations.shaping import potential_based
 from upslope.learners.dqn import DQN, DQNConfig
+from upslope.learners.shaping import potential_based
 from upslope.priors.prior import Prior
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast

@@ -10,11 +10,11 @@ import numpy as np
 
 from upslope.adaptation import algorithm2 as adaptation
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
-from upslope.equations.shaping import Shaping, potential_based
 from upslope.errors import UpslopeError
 from upslope.learners import dqn
 from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
+from upslope.learners.shaping import Shaping, potential_based
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.recipes import suited_to

@@ -26,8 +26,7 @@ class Tables:
     def shaped_rewards(self, value):
         """R + F by Def. 2.1, with the value table for a potential."""
         table = jax.lax.stop_gradient(value)
-        f = jax.vmap(lambda s, d, following: shaping_reward(lambda obs: table[obs.astype(int)], s, d, following))
-        return self.rewards + f(self.state.astype(float), self.discount, self.following.astype(float))
+        return self.rewards + shaping_reward(table[self.state], self.discount, table[self.following])
 
     def advantage_objective(self, advantage, value):
         following = jax.lax.stop_gradient(advantage)[self.following]

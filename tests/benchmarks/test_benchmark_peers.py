@@ -22,7 +22,7 @@ from benchmarks.peers.torch_networks import carry_over  # noqa: E402
 from upslope.envs.cartpole import CartPoleState  # noqa: E402
 from upslope.learners.dqn import DQNConfig, adam, dqn_loss  # noqa: E402
 from upslope.meta_training.algorithm1 import MetaTraining, TaskSamples  # noqa: E402
-from upslope.meta_training.config import MetaTrainingConfig# noqa: E402
+from upslope.meta_training.config import MetaTrainingConfig  # noqa: E402
 from upslope.networks.dueling import QNetwork  # noqa: E402
 from upslope.tasks import cartpoles  # noqa: E402
 from upslope.types import Transition  # noqa: E402

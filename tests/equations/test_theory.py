@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.mdps import FiniteMDP, greedy_sets, random_mdp, solve
-from upslope.equations.shaping import not_policy_invariant, potential_based, shaped_optimum
+from upslope.equations.shaping import shaped_optimum
+from upslope.learners.shaping import not_policy_invariant, potential_based
 from upslope.types import Transition
 
 seeds = st.integers(0, 2**32 - 1)

@@ -8,11 +8,11 @@ import pytest
 from support.comparing import assert_trees_close
 from support.plain_grids import as_board, distances, draw, pick
 from upslope.envs.grid import read_map
-from upslope.equations.shaping import potential_based
 from upslope.errors import UpslopeError
 from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps, value_tables
 from upslope.experiments.maps.priors import mean_detours
 from upslope.learners.dqn import DQN, DQNConfig
+from upslope.learners.shaping import potential_based
 from upslope.networks.dueling import DuelingQ
 from upslope.planning.grid_potentials import CellPotential
 from upslope.planning.measures import truths

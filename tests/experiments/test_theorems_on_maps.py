@@ -12,13 +12,13 @@ import pytest
 from support.plain_grids import draw
 from upslope.envs.grid import GridGame, read_map
 from upslope.envs.grid_rules import DOWN, LEFT, POSITION, RIGHT, UP
-from upslope.equations.shaping import potential_based
 from upslope.errors import UpslopeError
 from upslope.experiments.theorems.alternation import Tables, alternate, on_a_network, stable_ratio, tabular
 from upslope.experiments.theorems.credit_assignment import credit_assignment
 from upslope.experiments.theorems.maps import draw_maps, kinds
 from upslope.experiments.theorems.policy_invariance import ADDED, added_rewards, policy_invariance
 from upslope.experiments.theorems.study import TheoremsConfig, tables
+from upslope.learners.shaping import potential_based
 from upslope.planning.exact import (
     TabularMDP,
     best_actions,

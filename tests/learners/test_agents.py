@@ -11,9 +11,9 @@ from support.probes import GAMMA, PLACES, discrete_family, observe, table_potent
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead
 from upslope.adaptation.controls import CentredTD, FrozenPotential, OneOf
 from upslope.adaptation.fine_tuning import FineTuning
-from upslope.equations.shaping import not_policy_invariant, potential_based
 from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
+from upslope.learners.shaping import not_policy_invariant, potential_based
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.priors.potentials import stack

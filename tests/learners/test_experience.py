@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from support.probes import DISCRETE, discrete_family, table_potential, truncation_only, two_steps
-from upslope.equations.shaping import not_policy_invariant, potential_based
 from upslope.learners import lookups
 from upslope.learners.experience import Experience, greedy_return
 from upslope.learners.lookups import Lookup
 from upslope.learners.policies import EpsilonGreedy
+from upslope.learners.shaping import not_policy_invariant, potential_based
 from upslope.networks.dueling import QNetwork
 from upslope.tasks import obstacle_maps
 

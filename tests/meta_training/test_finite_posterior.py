@@ -7,12 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-from support.comparing import assert_trees_close, largest
-from support.probes import discrete_family
-from upslope.equations.losses import td_loss
-from upslope.errors import UpslopeError
-from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.finite_posterior import (
     FiniteSamples,
     Steps,
@@ -22,6 +16,12 @@ from upslope.meta_training.finite_posterior import (
     q_tables,
     table_distance,
 )
+
+from support.comparing import assert_trees_close, largest
+from support.probes import discrete_family
+from upslope.equations.losses import td_loss
+from upslope.errors import UpslopeError
+from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.recipes import for_grid_games, multi_task_dqn
 from upslope.planning.exact import solve_all, tabulate

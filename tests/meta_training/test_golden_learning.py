@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from support.plain_grids import draw
-from upslope.equations.shaping import Shaping
 from upslope.experiments.maps.arms import value_tables
 from upslope.learners.dqn import DQN, for_maps
+from upslope.learners.shaping import Shaping
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.recipes import for_grid_games
 from upslope.planning.grid_potentials import CellPotential

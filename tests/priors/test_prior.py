@@ -11,12 +11,12 @@ from safetensors.numpy import save_file
 
 from support.comparing import assert_trees_identical
 from upslope import storage
-from upslope.tasks.actions import DiscreteActions
 from upslope.errors import UpslopeError
 from upslope.networks.dueling import DuelingQ
 from upslope.priors.prior import Prior, TrainedOn, trained_on
 from upslope.priors.prior_file import FORMAT, FORMAT_VERSION
 from upslope.tasks import cartpoles, grid_games
+from upslope.tasks.actions import DiscreteActions
 
 FAMILY = cartpoles(gamma=0.97)
 SETTINGS = {"iterations": 7, "epsilon": [0.05, 0.95], "target_decay": None}

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
+from upslope.networks.numpy_networks import numpy_batch
 
 import upslope
 from support import host
@@ -16,7 +17,6 @@ from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.actor_critic import Actor, Critic
 from upslope.networks.dueling import ConvolutionalTorso, DuelingQ, QNetwork
-from upslope.networks.numpy_networks import numpy_batch
 from upslope.priors.prior import Prior, trained_on
 from upslope.run.loop import broadcast, run
 

@@ -11,12 +11,12 @@ from jaxtyping import Array, Float
 
 from upslope.equations.losses import advantage_loss, value_loss
 from upslope.equations.maml import descend
-from upslope.equations.shaping import potential_based, shape
 from upslope.learners.evaluation import greedy_report
 from upslope.learners.experience import Experience
 from upslope.learners.learner import AbstractTaskLearner, vital_signs
 from upslope.learners.lookups import dueling_table
 from upslope.learners.policies import EpsilonGreedy, Greedy
+from upslope.learners.shaping import add_shaping, potential_based
 from upslope.networks.dueling import AbstractDueling, DuelingQ
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Action, Key, Metrics, Observation, Scalar, Task, Transition
@@ -59,7 +59,7 @@ def advantage_step_loss(
     phi: DuelingQ, potential: AbstractDueling, batch: Transition, level: Callable[[Observation], Scalar]
 ) -> Scalar:
     """Mean of Eq. 8, with the rewards shaped by the V head of ``potential``, which is a constant here."""
-    shaped = shape(batch, potential_based(jax.lax.stop_gradient(potential).value).rewards(batch))
+    shaped = add_shaping(batch, potential_based(jax.lax.stop_gradient(potential).value).rewards(batch))
 
     def loss(obs: Observation, action: Action, reward: Scalar, discount: Scalar, next_obs: Observation) -> Scalar:
         highest_next = jax.lax.stop_gradient(phi.highest_advantage(next_obs) - level(next_obs))

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.equations.shaping import Shaping
 from upslope.experiments.keys import Purpose, keys_per_task
 from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of
 from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
+from upslope.learners.shaping import Shaping
 from upslope.networks.dueling import DuelingQ
 from upslope.priors.potentials import MeanPotential
 from upslope.run.loop import run

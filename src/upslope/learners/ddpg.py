@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import optax
 
 from upslope.equations.losses import huber, td_error
-from upslope.equations.shaping import Shaping, shape
 from upslope.learners.dqn import adam
 from upslope.learners.experience import Experience, greedy_return
 from upslope.learners.learner import AbstractTaskLearner, vital_signs
 from upslope.learners.policies import Greedy, Noisy
+from upslope.learners.shaping import Shaping, add_shaping
 from upslope.networks.actor_critic import Actor, Critic
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Metrics, Scalar, Task, Transition
@@ -94,7 +94,7 @@ class DDPG(AbstractTaskLearner):
         config = self.config
         running, seen = gathered
         experience = state.experience.remember(running, seen, self.shaping)
-        batch = shape(*experience.sample(sample_key, config.batch_size))
+        batch = add_shaping(*experience.sample(sample_key, config.batch_size))
 
         critic_objective, critic_gradient = jax.value_and_grad(critic_loss)(
             state.critic, state.target_actor, state.target_critic, batch, config.huber_threshold

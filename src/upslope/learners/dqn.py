@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import optax
 
 from upslope.equations.losses import huber, td_error
-from upslope.equations.shaping import Shaping, shape
 from upslope.learners.evaluation import greedy_report
 from upslope.learners.experience import Experience
 from upslope.learners.learner import AbstractTaskLearner, vital_signs
 from upslope.learners.policies import EpsilonGreedy, Greedy
+from upslope.learners.shaping import Shaping, add_shaping
 from upslope.networks.convolution import Precision
 from upslope.networks.precision import with_precision
 from upslope.networks.q_network import QNetwork
@@ -115,7 +115,7 @@ class DQN(AbstractTaskLearner):
         key, _, sample_key = jax.random.split(state.key, 3)
         running, seen = gathered
         experience = state.experience.remember(running, seen, self.shaping)
-        batch = shape(*experience.sample(sample_key, self.config.batch_size))
+        batch = add_shaping(*experience.sample(sample_key, self.config.batch_size))
         loss, gradient = jax.value_and_grad(dqn_loss)(state.network, state.target, batch, self.config.huber_threshold)
         change, optimiser = self._adam().update(gradient, state.optimiser)
         network = optax.apply_updates(state.network, change)

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from upslope.equations.shaping import Shaping
 from upslope.learners.lookups import policy_with_table
 from upslope.learners.replay import Replay
+from upslope.learners.shaping import Shaping
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Key, Policy, Scalar, Task, Transition
 

@@ -188,10 +188,7 @@ def immediate_rewards(mdp: TabularMDP) -> ActionValues:
 
 def shape_mdp(mdp: TabularMDP, potential: Float[Array, "states"]) -> TabularMDP:
     """The task with R' = R + F (Def. 2.1), F from a table of Φ; unchanged where one doesn't act."""
-    # Φ(s) and Φ(s') stand in for the observations, so that Def. 2.1 itself does the sum.
-    f = jnp.vectorize(lambda *values: shaping_reward(lambda value: value, *values))(
-        potential[:, None, None], mdp.discounts, potential[mdp.successors]
-    )
+    f = shaping_reward(potential[:, None, None], mdp.discounts, potential[mdp.successors])
     rewards = mdp.rewards + jnp.where(mdp.acting[:, None, None], f, 0.0)
     return eqx.tree_at(lambda mdp: mdp.rewards, mdp, rewards)
 

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from upslope.equations.shaping import Shaping
+from upslope.learners.shaping import Shaping
 from upslope.networks.dueling import DuelingQ
 from upslope.planning.grid_potentials import CellPotential, manhattan_potential, optimal_potential
 from upslope.planning.measures import truths

@@ -5,11 +5,11 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from upslope.equations.shaping import Shaping
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.results import SUCCESS, circumstances
 from upslope.experiments.shaping_panel import shaping_panel
 from upslope.learners.dqn import DQNConfig, for_maps
+from upslope.learners.shaping import Shaping
 from upslope.planning.grid_potentials import CellPotential, manhattan_potential, optimal_potential
 from upslope.run.compiling import compile_clock
 from upslope.run.session import Session

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from upslope.equations.shaping import shaped_optimum
+from upslope.equations.shaping import shaped_optimum, shaping_reward
 from upslope.experiments.theorems.maps import TOLERANCE, Maps, for_each, known
 from upslope.planning.exact import Solution, TabularMDP, best_actions, value_iteration
 from upslope.planning.grid_potentials import manhattan_distance
@@ -86,12 +86,12 @@ def added_rewards(mdp: TabularMDP, potential: Float[Array, "states"], gamma: flo
     """R + what is added, for each of `ADDED`; only the first is Def. 2.1."""
     here, there = potential[:, None, None], potential[mdp.successors]
     going_on = jnp.sign(mdp.discounts)
-    f = mdp.discounts * there - here
+    f = shaping_reward(here, mdp.discounts, there)
     return (
         mdp.rewards + f,
-        mdp.rewards + gamma * there - here,
-        mdp.rewards + OTHER_GAMMA * going_on * there - here,
-        mdp.rewards + going_on * there - here,
+        mdp.rewards + shaping_reward(here, gamma, there),
+        mdp.rewards + shaping_reward(here, OTHER_GAMMA * going_on, there),
+        mdp.rewards + shaping_reward(here, going_on, there),
         jnp.clip(mdp.rewards + f, -CLIP, CLIP),
         mdp.rewards + jnp.maximum(f, 0.0),
         mdp.rewards + going_on * there,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upslope.equations.shaping import not_policy_invariant, potential_based, shape
+from upslope.learners.shaping import add_shaping, not_policy_invariant, potential_based
 from upslope.types import Transition
 
 GAMMA = 0.9
@@ -53,18 +53,18 @@ def test_both_at_once_is_termination(added):
 
 
 def test_shaped_rewards_are_raw_rewards_plus_f(added):
-    shaped = shape(HAND_MADE, added)
+    shaped = add_shaping(HAND_MADE, added)
     np.testing.assert_allclose(shaped.reward, [1 + 2.5, 1 - 2, 1 + 1], rtol=1e-6)
 
 
 def test_shaping_changes_nothing_but_the_reward(added):
-    shaped = shape(HAND_MADE, added)
+    shaped = add_shaping(HAND_MADE, added)
     for name in ("obs", "action", "discount", "next_obs"):
         np.testing.assert_array_equal(getattr(shaped, name), getattr(HAND_MADE, name))
 
 
 def test_the_unshaped_baseline_is_the_batch_itself():
-    assert shape(HAND_MADE, None) is HAND_MADE
+    assert add_shaping(HAND_MADE, None) is HAND_MADE
 
 
 def test_shaping_is_applied_at_all(added):
