@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from upslope.run.checkpoints import Checkpoints
     from upslope.run.session import Session
     from upslope.tasks import GymnasiumTasks, cartpoles, clean_maps, grid_games, gymnax_tasks, obstacle_maps
-    from upslope.wrappers import PotentialShaping
+    from upslope.wrappers import PotentialShaping, shape
 
 # Imported when first asked for: a simulator process that only shapes rewards never imports JAX.
 _HOMES = {
@@ -38,6 +38,7 @@ _HOMES = {
     "load_prior": "upslope.priors.pretrained",
     "meta_train": "upslope.api",
     "prior_path": "upslope.priors.pretrained",
+    "shape": "upslope.wrappers",
     "train": "upslope.api",
 }
 
@@ -60,6 +61,7 @@ __all__ = [
     "meta_train",
     "obstacle_maps",
     "prior_path",
+    "shape",
     "train",
 ]
 

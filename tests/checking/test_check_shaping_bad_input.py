@@ -16,7 +16,7 @@ from upslope import UpslopeError, check_shaping
         ((Walk(), phi, 1.5), r"gamma is 1\.5"),
         ((Walk(), phi, "0.98"), "gamma is '0.98'"),
         ((Walk(), phi, True), "gamma is True"),
-        ((Walk(), 3.0, GAMMA), "is no potential"),
+        ((Walk(), 3.0, GAMMA), "is not a potential"),
     ],
 )
 def test_bad_input(arguments, words):

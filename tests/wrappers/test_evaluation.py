@@ -163,7 +163,7 @@ class TestBadPotentials:
 
     @pytest.mark.parametrize("potential", [3.0, None, object(), [1, 2]])
     def test_what_is_no_function(self, potential):
-        with pytest.raises(UpslopeError, match="is no potential"):
+        with pytest.raises(UpslopeError, match="is not a potential"):
             Evaluator(potential, BOX)
 
     def test_a_missing_file(self, tmp_path):

@@ -170,7 +170,7 @@ class TestBadInput:
 
     def test_a_vector_environment(self):
         envs = gym.vector.SyncVectorEnv([lambda: Scripted(*EPISODES)])
-        with pytest.raises(UpslopeError, match=r"upslope\.wrappers\.vector"):
+        with pytest.raises(UpslopeError, match=r"upslope\.shape"):
             PotentialShaping(envs, level, GAMMA)
 
     def test_step_before_reset(self):

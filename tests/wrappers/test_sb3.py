@@ -118,9 +118,9 @@ class TestWrapper:
             env.step(np.zeros(1, int))
 
     def test_bad_input(self, prior):
-        with pytest.raises(UpslopeError, match="no VecEnv"):
+        with pytest.raises(UpslopeError, match="not a VecEnv"):
             PotentialShaping(Walk(), level, GAMMA)
-        with pytest.raises(UpslopeError, match="no single Gymnasium environment"):
+        with pytest.raises(UpslopeError, match="not a single Gymnasium environment"):
             Single(venv(), level, GAMMA)
         with pytest.raises(UpslopeError, match="but the environment's"):
             PotentialShaping(venv(), prior, 0.98)

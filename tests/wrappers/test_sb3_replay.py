@@ -113,7 +113,7 @@ class TestReplay:
     def test_bad_input(self, prior):
         with pytest.raises(UpslopeError, match="gamma is"):
             self.buffer(gamma=1.5)
-        with pytest.raises(UpslopeError, match="is no potential"):
+        with pytest.raises(UpslopeError, match="is not a potential"):
             self.buffer(potential=3.0)
         normalised = VecNormalize(DummyVecEnv([Walk]))
         with pytest.raises(UpslopeError, match="VecNormalize"):

@@ -223,7 +223,7 @@ class TestBadInput:
             PotentialShaping(env, level, GAMMA)
 
     def test_a_single_environment(self):
-        with pytest.raises(UpslopeError, match=r"upslope\.PotentialShaping"):
+        with pytest.raises(UpslopeError, match=r"upslope\.shape"):
             PotentialShaping(Walk(), level, GAMMA)
 
     def test_another_gamma_than_the_prior_s(self, prior):

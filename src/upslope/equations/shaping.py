@@ -12,7 +12,7 @@ from jaxtyping import Float
 Values: TypeAlias = Float[Any, "..."] | float
 
 
-def shaping_reward(value: Values, discount: Values, next_value: Values) -> Values:
+def shaping_reward(value: Values, discount: Values, next_value: Values) -> Any:
     """Def. 2.1: F(s, a, s') = d·Φ(s') − Φ(s).
 
     Args:
@@ -23,7 +23,7 @@ def shaping_reward(value: Values, discount: Values, next_value: Values) -> Value
     return discount * next_value - value
 
 
-def shaped_optimum(optimal_value: Values, value: Values) -> Values:
+def shaped_optimum(optimal_value: Values, value: Values) -> Any:
     """Eq. 1: Q*_{M'}(s, a) = Q*_M(s, a) − Φ(s), and V*_{M'}(s) = V*_M(s) − Φ(s).
 
     Args:

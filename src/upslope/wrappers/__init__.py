@@ -1,5 +1,6 @@
-"""Shaping for environments of any library that speaks Gymnasium. `upslope.wrappers.vector` has the vector twin."""
+"""Reward shaping for environments: `shape` for any kind, `PotentialShaping` for single Gymnasium environments."""
 
+from upslope.wrappers.dispatch import shape
 from upslope.wrappers.potential_shaping import PotentialShaping
 
-__all__ = ["PotentialShaping"]
+__all__ = ["PotentialShaping", "shape"]

@@ -1,6 +1,7 @@
-"""Observations of a space: their shapes, and batches of them taken apart and put together."""
+"""Observations of a space: checks of their shapes, and batches of them split and joined."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import singledispatch
 from typing import Any
 
 import gymnasium as gym
@@ -11,7 +12,7 @@ from upslope.errors import UpslopeError
 
 
 def check_shape(space: gym.Space, obs: Any, leading: tuple[int, ...] = (), name: str = "") -> None:
-    """Whether an observation has the shape that its space says, and so each part of one with parts.
+    """Checks that an observation, or each of its parts, has the shape that its space declares.
 
     Args:
         space: of one observation.
@@ -20,22 +21,20 @@ def check_shape(space: gym.Space, obs: Any, leading: tuple[int, ...] = (), name:
         name: of the part, for the message.
 
     Raises:
-        UpslopeError: another shape, or a missing part.
+        UpslopeError: it has another shape, or a part is missing.
     """
-    if isinstance(space, gym.spaces.Dict | gym.spaces.Tuple):
-        parts = space.spaces.items() if isinstance(space, gym.spaces.Dict) else enumerate(space.spaces)
-        for key, part in parts:
-            check_shape(part, _part(obs, key), leading, f"{name}[{key!r}]")
-    elif space.shape is not None and np.shape(obs) != (*leading, *space.shape):
+    for key, part in _parts(space):
+        check_shape(part, _part(obs, key), leading, f"{name}[{key!r}]")
+    if space.shape is not None and np.shape(obs) != (*leading, *space.shape):
         raise UpslopeError(
             f"The environment gave an observation{name} of shape {np.shape(obs)}, but its observation space says "
-            f"{(*leading, *space.shape)}: mend the environment's observation_space, or what changes the observation's "
-            "shape."
+            f"{(*leading, *space.shape)}: correct the environment's observation_space, or the wrapper that changes the "
+            "observation's shape."
         )
 
 
 def misfit(space: gym.Space, obs: Any) -> str:
-    """What `check_shape` says of an observation; empty if it fits."""
+    """The message of `check_shape` about an observation; empty if its shape is right."""
     try:
         check_shape(space, obs)
     except UpslopeError as error:
@@ -57,11 +56,27 @@ def split(space: gym.Space, batch: Any, count: int) -> list[Any]:
 
 
 def pick(space: gym.Space, batch: Any, rows: np.ndarray) -> Any:
-    """As many observations out of a batch as it has, some of them again in the place of others."""
+    """A batch of the same size, with the given rows of another one; rows may repeat."""
     if isinstance(batch, np.ndarray):
         return batch[rows]
     singles = split(space, batch, len(rows))
     return join(space, [singles[i] for i in rows])
+
+
+@singledispatch
+def _parts(space: gym.Space) -> Iterable[tuple[Any, gym.Space]]:
+    """The spaces of an observation's parts, by key."""
+    return ()
+
+
+@_parts.register(gym.spaces.Dict)
+def _(space: Any) -> Iterable[tuple[Any, gym.Space]]:
+    return space.spaces.items()
+
+
+@_parts.register(gym.spaces.Tuple)
+def _(space: Any) -> Iterable[tuple[Any, gym.Space]]:
+    return enumerate(space.spaces)
 
 
 def _part(obs: Any, key: Any) -> Any:
@@ -70,5 +85,5 @@ def _part(obs: Any, key: Any) -> Any:
     except (KeyError, IndexError, TypeError) as error:
         raise UpslopeError(
             f"The environment gave an observation without the part {key!r} that its observation space has: "
-            "mend the environment's observation_space, or what leaves the part out."
+            "correct the environment's observation_space, or the wrapper that drops the part."
         ) from error

@@ -1,16 +1,20 @@
-"""Shaping for Stable-Baselines3: a VecEnv wrapper, and a replay buffer for potentials that move.
+"""Shaping for Stable-Baselines3: a VecEnv wrapper, and a replay buffer for potentials that change during training.
 
-Needs the extra ``upslope[sb3]``; nothing else here imports it.
+Needs the extra ``upslope[sb3]``; no other module of upslope imports it.
 """
 
 from typing import Any
 
 import numpy as np
 
+from upslope.equations.shaping import shaping_reward
 from upslope.errors import UpslopeError
 from upslope.rollouts.workers import call_or_end, close_or_end
+from upslope.wrappers.abstract_shaping import AbstractShaping, with_shaping_arguments
+from upslope.wrappers.batch_shaping import BatchShaping
+from upslope.wrappers.dispatch import VEC_ENV
 from upslope.wrappers.evaluation import Evaluator
-from upslope.wrappers.levels import Levels
+from upslope.wrappers.reporting import report
 from upslope.wrappers.terms import Count, Number, Terms
 
 try:
@@ -23,19 +27,20 @@ except ImportError as error:
     ) from error
 
 
-class PotentialShaping(VecEnvWrapper):
-    """`upslope.PotentialShaping` for a VecEnv: VecMonitor goes inside it (raw returns), VecNormalize around it.
+class PotentialShaping(AbstractShaping, VecEnvWrapper):
+    """R' = R + F for a VecEnv, as `upslope.PotentialShaping` does for one environment.
 
-    A VecEnv resets in the same step: the true successor is ``infos[i]["terminal_observation"]``, and
-    ``infos[i]["TimeLimit.truncated"]`` tells truncation from termination.
+    VecMonitor belongs inside it (raw returns), VecNormalize around it. A VecEnv resets in the same step: the true
+    successor is ``infos[i]["terminal_observation"]``, and ``infos[i]["TimeLimit.truncated"]`` marks truncation.
 
     Attributes:
         enabled: the switch; it takes effect at each environment's next reset.
     """
 
+    @with_shaping_arguments
     def __init__(
         self,
-        venv: VecEnv | Any,
+        env: VecEnv | Any,
         potential: Any,
         gamma: Number,
         *,
@@ -45,103 +50,58 @@ class PotentialShaping(VecEnvWrapper):
         anneal_steps: Count | None = None,
         repeat: Count = 1,
     ):
-        """Wraps a VecEnv; see `upslope.PotentialShaping` for the arguments.
-
-        Args:
-            venv: any VecEnv.
-            potential: Φ.
-            gamma: γ of one step, the learner's own.
-            scale: Φ is multiplied by it.
-            bias: is added to Φ, in units of return.
-            enabled: the switch.
-            anneal_steps: the shaping's weight falls linearly to zero over so many steps of every environment.
-            repeat: how often a step repeats its action.
-
-        Raises:
-            UpslopeError: no VecEnv, no potential, a prior for other observations or with another γ.
-        """
-        if not isinstance(venv, VecEnv):
-            raise UpslopeError(
-                f"{type(venv).__name__} is no VecEnv of Stable-Baselines3: for single environments there is "
-                "upslope.PotentialShaping, and upslope.wrappers.vector for vectors of Gymnasium."
-            )
-        super().__init__(venv)
+        """Wraps a VecEnv; `upslope.shape` finds the wrapper for other kinds."""
+        VEC_ENV.check(env)
+        VecEnvWrapper.__init__(self, env)
         self.enabled = enabled
-        evaluator = Evaluator(potential, venv.observation_space)
+        evaluator = Evaluator(potential, env.observation_space)
         self._terms = Terms(evaluator.potential, gamma, scale, bias, anneal_steps, repeat)
-        self._levels = Levels(evaluator, self._terms, np.full(venv.num_envs, enabled))
-        self._potentials: np.ndarray | None = None
-
-    @property
-    def gamma(self) -> float:
-        """γ that F is computed with; the learner must use the same."""
-        return self._terms.gamma
-
-    @property
-    def invariance(self) -> str:
-        """What the settings keep of policy invariance, in a sentence."""
-        return self._terms.invariance
+        self._shaping = BatchShaping(evaluator, self._terms, np.full(self.num_envs, enabled))
 
     def reset(self) -> Any:
         obs = call_or_end(self.venv, self.venv.reset)
-        self._levels.active = np.full(self.num_envs, self.enabled)
-        self._potentials = self._levels.of(obs, np.ones(self.num_envs, bool))
+        self._shaping.reset(obs, np.ones(self.num_envs, bool), self.enabled)
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
         call_or_end(self.venv, self.venv.step_async, actions)
 
     def step_wait(self) -> Any:
-        """One step of each, the rewards shaped.
+        """One step of each, with the rewards shaped.
 
         Raises:
-            UpslopeError: before the first reset, a hidden terminal observation, one of another shape, a worker that
-                died (the others are ended too), or where Φ fails.
+            UpslopeError: before the first reset, if a terminal observation is hidden, if an observation has another
+                shape than its space, if a worker died (the others are then ended too), or where Φ fails.
         """
-        if self._potentials is None:
-            raise UpslopeError("step was called before reset: reset the VecEnv first.")
+        self._shaping.check_begun()
         obs, rewards, dones, infos = call_or_end(self.venv, self.venv.step_wait)
-        self._levels.steps += 1
-        last = self._levels_of_last(dones, infos)
-        self._levels.active = np.where(dones, self.enabled, self._levels.active)
-        potentials = self._levels.of(obs, np.ones_like(dones))
-        following = np.where(dones, last, potentials)
-        added = self._terms.gamma * following - self._potentials
-        self._potentials = potentials
-        infos = [_told(info, *row) for info, *row in zip(infos, rewards, added, following, strict=True)]
+        finals = [info.get("terminal_observation") for info in infos]
+        truncated = np.array([bool(info.get("TimeLimit.truncated")) for info in infos])
+        added, potentials = self._shaping.step_with_resets(obs, dones, dones & ~truncated, finals, self.enabled)
+        values = zip(rewards.tolist(), added.tolist(), potentials.tolist(), strict=True)
+        infos = [report(info, *row) for info, row in zip(infos, values, strict=True)]
         return obs, (rewards + added).astype(rewards.dtype), dones, infos
 
     def close(self) -> None:
-        """Closes the environments; where a worker has died, it ends the others."""
+        """Closes the environments; if a worker has died, ends the others."""
         close_or_end(self.venv, self.venv.close)
-
-    def _levels_of_last(self, dones: np.ndarray, infos: Any) -> np.ndarray:
-        """The levels of the last observations where episodes were truncated; zero where they terminated."""
-        for i in np.flatnonzero(dones & self._levels.active):
-            if "terminal_observation" not in infos[i]:
-                raise UpslopeError(
-                    "The VecEnv resets but hides the final observation: it must give it in "
-                    'infos[i]["terminal_observation"], as those of Stable-Baselines3 do.'
-                )
-        truncated = [bool(done and info.get("TimeLimit.truncated")) for done, info in zip(dones, infos, strict=True)]
-        return self._levels.of_last([info.get("terminal_observation") for info in infos], np.array(truncated))
 
 
 class ShapedReplayBuffer(ReplayBuffer):
-    """Remembers raw rewards, and adds F when a batch is drawn, all of a batch with one version of Φ.
+    """Stores raw rewards, and adds F when a batch is drawn: one version of Φ shapes the whole batch.
 
-    For potentials that move, such as those of Algorithm 2: a buffer of shaped rewards would mix F of many versions,
-    which is not policy-invariant. Give it to an off-policy learner of Stable-Baselines3 with an unshaped environment:
+    For potentials that change during training, such as those of Algorithm 2: a buffer of shaped rewards would mix F of
+    many versions, which is not policy-invariant. Use it in an off-policy learner with an unshaped environment:
     ``DQN(..., replay_buffer_class=ShapedReplayBuffer, replay_buffer_kwargs={"potential": phi, "gamma": 0.98})``.
 
-    - One γ: the learner bootstraps with the buffer's, which comes with every batch; its own is not used. Give both
-      the same, so that the learner reports the one that it learns with.
-    - One step: ``n_steps`` above 1 is refused here. What is given to the learner itself can't be seen from here:
+    - One γ: the learner bootstraps with the buffer's γ, which comes with every batch, and not with its own. Give both
+      the same, so that the learner reports the γ that it learns with.
+    - One step: the buffer refuses ``n_steps`` above 1. It does not see the ``n_steps`` of the learner itself:
       Stable-Baselines3 warns that it ignores it, and learns from one step.
-    - There is no scale, bias or annealing: put them into Φ, which may move.
+    - There is no scale, bias or annealing: put them into Φ, which may change.
 
     Attributes:
-        potential: Φ; assign another to move it.
+        potential: Φ; assign another to change it.
     """
 
     def __init__(
@@ -153,12 +113,13 @@ class ShapedReplayBuffer(ReplayBuffer):
             arguments: as for the buffer of Stable-Baselines3.
             potential: Φ, as for `PotentialShaping`.
             gamma: γ of one step.
-            repeat: how often a step repeats its action.
+            repeat: number of times that a step repeats its action.
             n_steps: only 1.
             settings: as for the buffer of Stable-Baselines3.
 
         Raises:
-            UpslopeError: no potential, a prior for other observations or with another γ, or returns of many steps.
+            UpslopeError: the potential is not a potential, the prior was trained for other observations or another γ,
+                or ``n_steps`` is above 1.
         """
         if n_steps != 1:
             raise UpslopeError(
@@ -182,28 +143,17 @@ class ShapedReplayBuffer(ReplayBuffer):
     def _get_samples(self, batch_inds: np.ndarray, env: VecNormalize | None = None) -> ReplayBufferSamples:
         if env is not None and (env.norm_obs or env.norm_reward):
             raise UpslopeError(
-                "VecNormalize changes what the replay draws, so that F would not belong to it: "
+                "VecNormalize changes what the replay draws, so that F would not fit: "
                 "use it with norm_obs=False and norm_reward=False, or shape with upslope.wrappers.sb3.PotentialShaping."
             )
         samples = super()._get_samples(batch_inds, env)
         both = np.concatenate([samples.observations.cpu().numpy(), samples.next_observations.cpu().numpy()])
         # The replay keeps discrete observations as vectors of one number.
         both = both.reshape((len(both), *(self.observation_space.shape or ())))
-        # Terminated steps have done = 1 here, and truncated ones 0: the very factor of the learner's bootstrap.
-        goes_on = samples.dones.cpu().numpy()[:, 0] == 0
-        # In one call, so that Φ can't move in between; Φ need not be defined at terminal states.
-        phi, ahead = np.split(self._evaluator.where(both, np.append(np.ones_like(goes_on), goes_on)), 2)
-        added = self.to_torch((self._terms.gamma * ahead - phi).astype(np.float32)[:, None])
+        # done is 1 where a step terminated and 0 where it was truncated: the learner's bootstrap has the same factor.
+        continues = samples.dones.cpu().numpy()[:, 0] == 0
+        # In one call, so that Φ can't change in between; Φ need not be defined at terminal states.
+        phi, ahead = np.split(self._evaluator.where(both, np.append(np.ones_like(continues), continues)), 2)
+        added = self.to_torch(shaping_reward(phi, self._terms.gamma, ahead).astype(np.float32)[:, None])
         discounts = samples.rewards.new_full(samples.rewards.shape, self._terms.gamma)
         return samples._replace(rewards=samples.rewards + added, discounts=discounts)
-
-
-def _told(info: dict[str, Any], reward: Any, added: Any, potential: Any) -> dict[str, Any]:
-    told = {"raw_reward": float(reward), "shaping_reward": float(added), "potential": float(potential)}
-    if "shaping_reward" in info:  # a shaping inside this one: the two add up
-        told = {
-            "raw_reward": info["raw_reward"],
-            "shaping_reward": told["shaping_reward"] + info["shaping_reward"],
-            "potential": told["potential"] + info["potential"],
-        }
-    return {**info, **told}
