@@ -11,7 +11,7 @@ from support import wrong_wrappers as zoo
 from support.scripted import Walk
 from support.wrong_wrappers import GAMMA, WRONG, phi
 from upslope import PotentialShaping, UpslopeError, check_shaping
-from upslope.checking.findings import MENDS
+from upslope.checking.findings import FIXES
 from upslope.wrappers.vector import PotentialShaping as VectorShaping
 
 SAME, NEXT = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP
@@ -28,7 +28,7 @@ def caught(wrong, seed, steps):
     finding = report.findings[0]
     assert finding.step > 0
     assert any(character.isdigit() for character in finding.evidence)
-    assert finding.mend == MENDS[finding.name]
+    assert finding.fix == FIXES[finding.name]
 
 
 @pytest.mark.parametrize("wrong", WRONG, ids=lambda wrapper: wrapper.__name__)
@@ -144,7 +144,7 @@ class TestPotentials:
         assert report.ok
         assert report.level == pytest.approx(1000, abs=3)
         assert report.drip == pytest.approx(-100, abs=0.3)
-        assert "drips -100" in report.findings[0].evidence
+        assert "pays -100" in report.findings[0].evidence
 
 
 RIGHT = {
@@ -164,7 +164,7 @@ def passed(name, seed, steps):
     report = check_shaping(RIGHT[name](), phi, GAMMA, seed=seed, steps=steps)
     assert report.findings == (), str(report)
     assert report.layer in ("Right", "PotentialShaping")
-    assert min(report.seen.values()) > 10, "each kind of end must have been judged"
+    assert min(report.counts.values()) > 10, "each kind of end must have been judged"
 
 
 @pytest.mark.parametrize("name", RIGHT)
@@ -186,7 +186,7 @@ def test_no_false_alarm_whatever_the_seed(name, seed):
 def test_no_false_alarm_on_vectors(wrapper, mode):
     report = check_shaping(wrapper(SyncVectorEnv([Walk] * 3, autoreset_mode=mode)), phi, GAMMA, steps=300)
     assert report.findings == (), str(report)
-    assert min(report.seen.values()) > 10
+    assert min(report.counts.values()) > 10
 
 
 def test_shaped_sub_environments():
@@ -207,7 +207,7 @@ def test_a_clip_above_the_shaping():
     env = TransformReward(PotentialShaping(Walk(), phi, GAMMA), lambda reward: float(np.clip(reward, -1, 1)))
     report = check_shaping(env, phi, GAMMA)
     assert names(report) == ["clipped"]
-    assert "above the shaping" in report.findings[0].evidence
+    assert "outside the shaping" in report.findings[0].evidence
 
 
 def test_annealing_is_told_as_what_it_is_to_a_replay():

@@ -62,8 +62,8 @@ class Endless(Walk):
 class TestKindsOfEnds:
     def test_all_are_forced_where_none_come_by_themselves(self):
         right = check_shaping(zoo.Right(Endless()), phi, GAMMA, steps=600)
-        assert min(right.seen.values()) >= 3
-        assert str(right).endswith("Potential-based: nothing was found.")
+        assert min(right.counts.values()) >= 3
+        assert str(right).endswith(" potential-based: no mistakes were found.")
         wrong = check_shaping(zoo.TerminalPotential(Endless()), phi, GAMMA, steps=600)
         assert names(wrong) == ["nonzero_terminal_potential"]
 

@@ -12,7 +12,7 @@ from upslope import UpslopeError, check_shaping
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((object(), phi, GAMMA), "no Gymnasium environment"),
+        ((object(), phi, GAMMA), "not a Gymnasium environment"),
         ((Walk(), phi, 1.5), r"gamma is 1\.5"),
         ((Walk(), phi, "0.98"), "gamma is '0.98'"),
         ((Walk(), phi, True), "gamma is True"),

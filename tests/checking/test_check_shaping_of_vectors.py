@@ -96,7 +96,7 @@ class TestWorkerProcesses:
         wrong = check_shaping(env, phi, 0.95, steps=300)
         env.close()
         assert right.findings == (), str(right)
-        assert min(right.seen.values()) >= 1
+        assert min(right.counts.values()) >= 1
         assert names(wrong) == ["gamma_mismatch"]
 
     @pytest.mark.parametrize("make", [shaped_by_another, Walk])

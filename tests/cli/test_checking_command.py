@@ -38,7 +38,7 @@ def folder(tmp_path, monkeypatch):
 
 def test_a_right_one(folder, capsys):
     Check("my_envs:right", "my_envs:phi", gamma=0.9, steps=300)()
-    assert "Judged PotentialShaping" in capsys.readouterr().out
+    assert "Checked PotentialShaping" in capsys.readouterr().out
 
 
 def test_a_prior_brings_its_own_gamma(folder, prior, capsys):

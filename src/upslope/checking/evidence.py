@@ -1,4 +1,4 @@
-"""Recorded transitions as numbers: what was added to each reward, and Φ of every observation that may explain it."""
+"""Recorded transitions as numbers: what was added to each reward, and Φ of the observations that may explain it."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from upslope.checking.recording import Seen
+from upslope.checking.calls import LayerTransition
+from upslope.equations.shaping import shaping_reward
 from upslope.errors import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
 from upslope.wrappers.observations import misfit
@@ -17,12 +18,12 @@ class Evidence(NamedTuple):
 
     Attributes:
         added: what the layer added to the reward.
-        below: the reward that it was given.
+        below: the reward that the layer was given.
         phi: Φ(s).
         successor: Φ(s') at the true successor.
-        shown: Φ of the observation that was returned, which may be a reset observation.
+        shown: Φ of the observation that was returned, possibly the first of the next episode.
         last_before: Φ of the last observation of the episode before; NaN for none.
-        terminated: and so on, see `upslope.checking.recording.Seen`.
+        terminated: this and the other flags and times are those of `upslope.checking.calls.LayerTransition`.
     """
 
     added: Float[np.ndarray, "n"]
@@ -42,16 +43,16 @@ class Evidence(NamedTuple):
         return Evidence(*(leaf[where] for leaf in self))
 
     def expected(self, gamma: float) -> Float[np.ndarray, "n"]:
-        """F by the book."""
-        return gamma * np.where(self.terminated, 0.0, self.successor) - self.phi
+        """F by Def. 2.1."""
+        return shaping_reward(self.phi, gamma, np.where(self.terminated, 0.0, self.successor))
 
 
 class UnusableError(UpslopeError):
-    """Φ can't be had of an observation.
+    """Φ can't be computed for an observation.
 
     Attributes:
-        name: of the finding that it is.
-        step: where.
+        name: of the finding.
+        step: at which this happened.
     """
 
     def __init__(self, name: str, step: int, words: str):
@@ -59,11 +60,11 @@ class UnusableError(UpslopeError):
         self.name, self.step = name, step
 
 
-def gather(seen: Sequence[Seen], evaluator: Evaluator, space: Any) -> Evidence:
-    """The evidence of what was seen.
+def gather(seen: Sequence[LayerTransition], evaluator: Evaluator, space: Any) -> Evidence:
+    """The evidence in recorded transitions.
 
     Raises:
-        UnusableError: an observation of a wrong shape, or one where Φ fails although it counts.
+        UnusableError: an observation has a wrong shape, or Φ fails where it counts.
     """
     rows = []
     for one in seen:

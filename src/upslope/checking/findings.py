@@ -1,26 +1,26 @@
-"""The mistakes that `check_shaping` knows by name, each with its mend."""
+"""The mistakes that `check_shaping` knows by name, each with its fix."""
 
 from typing import NamedTuple
 
-#: Name of each mistake, and its mend.
-MENDS = {
-    "never_applied": "Check that the shaped environment is the one that the learner steps, and that shaping is on. "
-    "Shaping inside the environment itself is seen only where info['raw_reward'] tells the raw reward.",
-    "nonzero_terminal_potential": "Count Φ(s') as zero where an episode terminated, also where it was truncated too.",
+#: Each mistake by name, and how to fix it.
+FIXES = {
+    "never_applied": "Check that the learner steps the shaped environment, and that shaping is enabled. "
+    "Shaping inside the environment itself is visible only if info['raw_reward'] reports the raw reward.",
+    "nonzero_terminal_potential": "Count Φ(s') as zero where an episode terminated, even if it was also truncated.",
     "zeroed_at_truncation": "Keep γΦ(s') where an episode was truncated: the learner bootstraps there.",
-    "reset_observation_used": "Use the true last observation as s', not the one after the reset; a reset pays no F.",
-    "not_rearmed_at_reset": "Set the remembered Φ(s) to that of the reset observation whenever an episode begins.",
+    "reset_observation_used": "Use the true last observation as s', not the one after the reset; pay no F for a reset.",
+    "not_rearmed_at_reset": "Set the remembered Φ(s) to that of the first observation whenever an episode begins.",
     "end_not_paid": "Pay F at the last step of an episode too: −Φ(s) where it terminated.",
     "gamma_mismatch": "Give the shaping the learner's γ.",
     "clipped": "Never clip F or R + F; lower the scale of Φ instead.",
-    "normalised": "Never normalise or centre F or R + F; put reward normalisation outside the shaping.",
-    "stale_mixture": "Use one version of Φ throughout, or shape where a batch is drawn from the replay.",
-    "not_potential_based": "Pay F = γ·(1 − terminated)·Φ(s') − Φ(s), with the Φ that is checked here.",
+    "normalised": "Never centre F or R + F, nor normalise F; put reward normalisation outside the shaping.",
+    "stale_mixture": "Use one version of Φ all the time, or shape where batches are drawn from the replay.",
+    "not_potential_based": "Pay F = γ·(1 − terminated)·Φ(s') − Φ(s), with the Φ given to this check.",
     "bad_potential": "Make Φ return one finite number for every observation.",
-    "wrong_observation_shape": "Mend the environment's observation_space, or what changes the observation's shape.",
-    "hidden_final_observation": "Give the last observation of an episode that resets in the same step.",
-    "not_judged": "Play more steps; or check one environment, alone or in a SyncVectorEnv, where all ends are forced.",
-    "large_constant_level": "Subtract the level from Φ (bias), unless its effect on Q's initial value is wanted.",
+    "wrong_observation_shape": "Correct the observation_space, or the wrapper that changes the observation's shape.",
+    "hidden_final_observation": "Report the last observation of an episode that resets in the same step.",
+    "not_judged": "Take more steps; or check one environment, alone or in a SyncVectorEnv, where all ends are forced.",
+    "large_constant_level": "Subtract the mean from Φ (bias), unless you want its effect on Q's initial values.",
 }
 
 
@@ -28,8 +28,8 @@ class Finding(NamedTuple):
     """One mistake.
 
     Attributes:
-        name: a key of `MENDS`.
-        step: where it showed first, counted over the run.
+        name: a key of `FIXES`.
+        step: the first at which it shows.
         evidence: the values that show it.
     """
 
@@ -38,13 +38,14 @@ class Finding(NamedTuple):
     evidence: str
 
     @property
-    def mend(self) -> str:
-        return MENDS[self.name]
+    def fix(self) -> str:
+        """How to fix it."""
+        return FIXES[self.name]
 
     @property
     def is_error(self) -> bool:
-        """Whether it breaks policy invariance, or leaves that open; the others are worth knowing."""
+        """Whether it breaks policy invariance or leaves that open; if not, it is just worth knowing."""
         return self.name != "large_constant_level"
 
     def __str__(self) -> str:
-        return f"{self.name} (step {self.step}): {self.evidence} {self.mend}"
+        return f"{self.name} (step {self.step}): {self.evidence} {self.fix}"

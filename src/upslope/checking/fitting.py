@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from upslope.checking.evidence import Evidence
+from upslope.equations.shaping import shaping_reward
 
-#: Fitted discounts above it, and scales below, are accidents of the least squares.
+#: Discounts above the one and scales below the other are artefacts of the least squares.
 _LARGEST_GAMMA, _SMALLEST_SCALE = 2.0, 1e-6
 
 
@@ -19,14 +20,14 @@ class Fit(NamedTuple):
 
 
 def fit_ordinary(ordinary: Evidence, gamma: float, tolerance: float) -> Fit | None:
-    """The γ, scale and bias that explain every ordinary step, the simplest that do; None if nothing does."""
+    """The simplest γ, scale and bias that explain every ordinary step; None if none do."""
     if not len(ordinary.phi):
         return Fit(gamma)
     return next((fit for fit in _candidates(ordinary, gamma) if _explains(fit, ordinary, tolerance)), None)
 
 
 def with_bias_of_ends(fit: Fit, evidence: Evidence, tolerance: float) -> Fit:
-    """With γ = 1 a bias shows at terminations alone, where all must agree on it."""
+    """With γ = 1 a bias shows only at terminations, and all must agree on it."""
     over = evidence.take(evidence.terminated & ~evidence.dummy & ~evidence.first)
     if abs(fit.gamma - 1) > 1e-6 or len(over.phi) < 2:
         return fit
@@ -39,13 +40,13 @@ def _explains(fit: Fit, ordinary: Evidence, tolerance: float) -> bool:
         return False
     psi, following = (fit.scale * leaf + fit.bias for leaf in (ordinary.phi, ordinary.successor))
     slack = tolerance * max(1.0, fit.scale) + 1e-5 * abs(fit.bias)
-    return bool(np.all(np.abs(fit.gamma * following - psi - ordinary.added) <= slack))
+    return bool(np.all(np.abs(shaping_reward(psi, fit.gamma, following) - ordinary.added) <= slack))
 
 
 def _candidates(ordinary: Evidence, gamma: float) -> list[Fit]:
-    """From the simplest on: as it should be, another γ, a scale, a bias too, and all three."""
+    """From the simplest: as it should be, another γ, a scale, a scale and a bias, and all three."""
     phi, successor, added = ordinary.phi, ordinary.successor, ordinary.added
-    plain = gamma * successor - phi
+    plain = shaping_reward(phi, gamma, successor)
     candidates = [Fit(gamma)]
     if np.any(successor):
         candidates.append(Fit(float((added + phi) @ successor / (successor @ successor))))

@@ -1,4 +1,4 @@
-"""Tells from recorded transitions whether what a layer added to the reward is potential-based, and if not, why not."""
+"""Judges whether what a layer added to the reward is potential-based, and if not, why not."""
 
 from typing import NamedTuple
 
@@ -9,10 +9,11 @@ from upslope.checking.evidence import Evidence
 from upslope.checking.findings import Finding
 from upslope.checking.fitting import Fit, fit_ordinary, with_bias_of_ends
 from upslope.checking.misfits import clippings, explain_misfit
+from upslope.equations.shaping import shaping_reward
 
 
 def judge(evidence: Evidence, gamma: float) -> list[Finding]:
-    """Every mistake that the transitions show; none if they are shaped by b + c·Φ with any b and c > 0."""
+    """All mistakes in the transitions; none if they are shaped by b + c·Φ with any b and any c > 0."""
     size = max(1e-9, float(np.nanmax(np.abs([evidence.phi, evidence.successor]))))
     tolerance = 1e-6 + 1e-5 * size  # wrappers may compute in single precision
     if np.all(np.abs(evidence.added) <= tolerance):
@@ -39,12 +40,12 @@ def _never_applied(evidence: Evidence, gamma: float, tolerance: float) -> list[F
     at = int(np.argmax(np.abs(expected)))
     if abs(expected[at]) <= 10 * tolerance:
         return []
-    words = f"no reward was changed, but F should be {expected[at]:.4g} here."
+    words = f"no reward was changed, but F is {expected[at]:.4g} here."
     return [Finding("never_applied", int(evidence.step[at]), words)]
 
 
 class _Group(NamedTuple):
-    """Transitions of one kind: what they must be paid, and the values that mistakes would pay instead."""
+    """Transitions of one kind: what they must be paid, and what known mistakes would pay instead."""
 
     where: str
     of: Bool[np.ndarray, "n"]
@@ -56,7 +57,8 @@ class _Group(NamedTuple):
 def judge_ends(evidence: Evidence, fit: Fit, tolerance: float) -> list[Finding]:
     """Mistakes at terminations, truncations, resets and first steps, with the γ and the level of ordinary steps."""
     phi, successor = (fit.scale * leaf + fit.bias for leaf in (evidence.phi, evidence.successor))
-    bounds = clippings(evidence, fit.gamma * np.where(evidence.terminated, 0.0, successor) - phi, tolerance)
+    right = shaping_reward(phi, fit.gamma, np.where(evidence.terminated, 0.0, successor))
+    bounds = clippings(evidence, right, tolerance)
     findings: list[Finding] = []
     for where, of, expected, mistakes, otherwise in _groups(evidence, fit, tolerance):
         wrong = np.flatnonzero(of & (np.abs(evidence.added - expected) > tolerance))
@@ -80,26 +82,32 @@ def _groups(evidence: Evidence, fit: Fit, tolerance: float) -> list[_Group]:
     phi, successor, shown, before = (
         fit.scale * leaf + fit.bias for leaf in (evidence.phi, evidence.successor, evidence.shown, evidence.last_before)
     )
-    ahead, zero = fit.gamma * successor, np.zeros_like(phi)
+    right, zero = shaping_reward(phi, fit.gamma, successor), np.zeros_like(phi)
     began = ~evidence.dummy & evidence.first & ~evidence.terminated & ~evidence.truncated
     # A first step that ends at once is judged as an end only where first steps are right.
-    over = ~evidence.dummy & ~(evidence.first & np.any(began & (np.abs(evidence.added - ahead + phi) > tolerance)))
-    mistakes_at_end = [("reset_observation_used", fit.gamma * shown - phi), ("end_not_paid", zero)]
+    over = ~evidence.dummy & ~(evidence.first & np.any(began & (np.abs(evidence.added - right) > tolerance)))
+    mistakes_at_end = [("reset_observation_used", shaping_reward(phi, fit.gamma, shown)), ("end_not_paid", zero)]
     # A constant added to every F looks like a bias on ordinary steps, but it is paid at ends and resets too.
     centring = (fit.gamma - 1) * fit.bias
     kept = [
-        ("nonzero_terminal_potential", ahead - phi),
+        ("nonzero_terminal_potential", right),
         *mistakes_at_end,
         ("normalised", centring - fit.scale * evidence.phi),
     ]
-    not_rearmed = [("not_rearmed_at_reset", values) for values in (ahead - before, ahead, zero)]
+    unarmed = (shaping_reward(before, fit.gamma, successor), shaping_reward(zero, fit.gamma, successor), zero)
+    not_rearmed = [("not_rearmed_at_reset", values) for values in unarmed]
     return [
         _Group("the episode terminated", over & evidence.terminated & ~evidence.truncated, -phi, kept),
-        _Group("it terminated and was truncated at once", over & evidence.terminated & evidence.truncated, -phi, kept),
+        _Group(
+            "it terminated and was also truncated",
+            over & evidence.terminated & evidence.truncated,
+            -phi,
+            kept,
+        ),
         _Group(
             "the episode was truncated",
             over & evidence.truncated & ~evidence.terminated,
-            ahead - phi,
+            right,
             [("zeroed_at_truncation", -phi), *mistakes_at_end],
         ),
         _Group(
@@ -109,5 +117,5 @@ def _groups(evidence: Evidence, fit: Fit, tolerance: float) -> list[_Group]:
             [("normalised", zero + centring)],
             otherwise="reset_observation_used",
         ),
-        _Group("the episode began", began, ahead - phi, not_rearmed),
+        _Group("the episode began", began, right, not_rearmed),
     ]

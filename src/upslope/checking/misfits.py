@@ -22,7 +22,7 @@ class Clipping(NamedTuple):
 
 
 def clippings(evidence: Evidence, expected: Float[np.ndarray, "n"], tolerance: float) -> list[Clipping]:
-    """Where different values of F, or of R + F, became one and the same bound."""
+    """Where different values of F, or of R + F, became the same bound."""
     real = ~evidence.dummy
     wrong = real & (np.abs(evidence.added - expected) > tolerance)
     found = []
@@ -48,11 +48,13 @@ def explain_misfit(evidence: Evidence, is_ordinary: Any, gamma: float, tolerance
         return Finding("clipped", step, f"{words}; {bounds}.")
     if _outlasts_episodes(wrong, ordinary) or _drifts(ordinary, gamma, tolerance):
         share = f"{np.mean(~wrong):.0%} of the steps fit Φ" if np.any(~wrong) else "the weight of Φ changes over time"
-        return Finding("stale_mixture", step, f"{words}, although {share}: more than one version of Φ is at work.")
+        return Finding("stale_mixture", step, f"{words}, although {share}: there is more than one version of Φ.")
     is_rescaled = np.mean(wrong) > 0.95 and np.std(added) > 0 and np.std(expected) > 0
     if is_rescaled and np.corrcoef(added, expected)[0, 1] > 0.7:
-        return Finding("normalised", step, f"{words}; the two go together, but no γ, scale and bias make them equal.")
-    return Finding("not_potential_based", step, f"{words}, and no γ, scale and bias of Φ make them equal.")
+        return Finding(
+            "normalised", step, f"{words}; the two are correlated, but no γ, scale and bias make them equal."
+        )
+    return Finding("not_potential_based", step, f"{words}, and no γ, scale and bias of Φ make the two equal.")
 
 
 def _clipped(part: Evidence, gamma: float, tolerance: float) -> str:
@@ -64,9 +66,9 @@ def _clipped(part: Evidence, gamma: float, tolerance: float) -> str:
 
 
 def _outlasts_episodes(wrong: Bool[np.ndarray, "n"], ordinary: Evidence) -> bool:
-    """Whether being right or wrong carries over from episode to episode, as it does where Φ moves on.
+    """Whether being right or wrong carries over from episode to episode, as it does if Φ changes over time.
 
-    A bonus for states or actions begins anew with each episode: it changes there as often as chance has it.
+    A bonus for states or actions starts again with every episode: there it changes as often as by chance.
     """
     across = np.diff(ordinary.age) > 1
     share = np.mean(wrong)
@@ -75,9 +77,9 @@ def _outlasts_episodes(wrong: Bool[np.ndarray, "n"], ordinary: Evidence) -> bool
 
 
 def _drifts(ordinary: Evidence, gamma: float, tolerance: float) -> bool:
-    """Whether a weight of Φ that changes over time explains most stretches of the run.
+    """Whether a weight of Φ that changes over time explains most parts of the run.
 
-    Wrappers of single environments count transitions; those of vector environments count the steps that reset, too.
+    Wrappers of single environments count transitions; those of vector environments also count steps that only reset.
     """
     return any(_drifts_with(time, ordinary, gamma, tolerance) for time in (ordinary.age, ordinary.step))
 

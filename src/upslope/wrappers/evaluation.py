@@ -1,7 +1,7 @@
 """Φ of observations as plain floats, for potentials of every kind, with clear errors where Φ fails."""
 
-import math
 from collections.abc import Callable, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,7 @@ class Evaluator:
             raise
         except Exception as error:
             raise _failed(error, np.shape(obs)) from error
-        if not math.isfinite(value):
+        if not isfinite(value):
             raise _not_finite(value, obs)
         return value
 

@@ -71,7 +71,7 @@ class PotentialShaping(AbstractShaping, gym.Wrapper, RecordConstructorArgs):
         if self._ended and not self._resets_itself:
             raise UpslopeError("step was called after the episode had ended: reset the environment first.")
         obs, reward, terminated, truncated, info = self.env.step(action)
-        reward = float(reward)
+        reward, terminated, truncated = float(reward), bool(terminated), bool(truncated)
         if self._ended:  # the dummy step of Autoreset: a reset, not a transition
             potential, added = self._begin(obs), 0.0
         else:
@@ -79,8 +79,8 @@ class PotentialShaping(AbstractShaping, gym.Wrapper, RecordConstructorArgs):
             potential = 0.0 if terminated else self._level(obs)
             added = shaping_reward(self._potential, self._terms.gamma, potential)
             self._potential = potential
-            self._ended = bool(terminated or truncated)
-        return obs, reward + added, bool(terminated), bool(truncated), report(info, reward, added, potential)
+            self._ended = terminated or truncated
+        return obs, reward + added, terminated, truncated, report(info, reward, added, potential)
 
     def _begin(self, obs: Any) -> float:
         """A new episode: the switch takes effect, and Φ' of its first observation is remembered."""

@@ -42,7 +42,7 @@ class PotentialShaping(AbstractShaping, gym.vector.VectorWrapper, RecordConstruc
     ):
         """Wraps a vector environment; `upslope.shape` finds the wrapper for other kinds."""
         VECTOR.check(env)
-        self._mode = _autoreset_mode(env)
+        self._mode = autoreset_mode(env)
         evaluator = Evaluator(potential, env.single_observation_space)
         self._terms = Terms(evaluator.potential, gamma, scale, bias, anneal_steps, repeat)
         RecordConstructorArgs.__init__(self, potential=recordable(potential), enabled=enabled, **self._terms.settings)
@@ -86,7 +86,12 @@ class PotentialShaping(AbstractShaping, gym.vector.VectorWrapper, RecordConstruc
         close_or_end(self.env, lambda: self.env.close(**settings))
 
 
-def _autoreset_mode(env: gym.vector.VectorEnv) -> AutoresetMode:
+def autoreset_mode(env: gym.vector.VectorEnv) -> AutoresetMode:
+    """When a vector environment resets its sub-environments.
+
+    Raises:
+        UpslopeError: it does not say.
+    """
     mode = env.metadata.get("autoreset_mode")
     try:
         return AutoresetMode(mode)
