@@ -50,13 +50,13 @@ def main(options: Options) -> None:
     prior = upslope.meta_train(lakes, seed=options.seed, config=config)
     lakes.close()
     unseen = [sample(np.random.default_rng([options.seed, 1, index])) for index in range(maps)]
-    print(upslope.check_shaping(upslope.PotentialShaping(make_env(unseen[0]), prior, gamma=GAMMA), prior, GAMMA))
+    print(upslope.check_shaping(upslope.shape(make_env(unseen[0]), prior, gamma=GAMMA), prior, GAMMA))
     for shaped in (False, True):
         solved = []
         for index, task in enumerate(unseen):
             env = make_env(task)
             if shaped:
-                env = upslope.PotentialShaping(env, prior, gamma=prior.gamma)
+                env = upslope.shape(env, prior, gamma=prior.gamma)
             solved.append(q_learning(env, episodes, seed=index))
         median = np.median(np.where(np.isinf(solved), episodes + 1, solved))
         words = f"{median:.0f} episodes" if median <= episodes else f"not within {episodes} episodes"

@@ -13,7 +13,6 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
 import upslope
-from upslope.wrappers.sb3 import PotentialShaping
 
 
 @dataclass(frozen=True)
@@ -29,13 +28,13 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Trains twice, and prints raw greedy returns; 200 is the top."""
+    """Trains twice, and prints raw greedy returns; the maximum is 200."""
     prior = upslope.load_prior("cartpole")
     name, pole = "upslope/ContinuousCartPole-v0", {"length": options.length}
     for shaped in (False, True):
         envs = make_vec_env(name, env_kwargs=pole)  # each in a monitor of its own: raw returns
         if shaped:
-            envs = PotentialShaping(envs, prior, gamma=prior.gamma)
+            envs = upslope.shape(envs, prior, gamma=prior.gamma)
         learner = getattr(sb3, options.algorithm)
         small = {"net_arch": [64, 64]}
         model = learner(

@@ -28,7 +28,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Trains twice, and prints raw greedy returns; 200 is the top."""
+    """Trains twice, and prints raw greedy returns; the maximum is 200."""
     prior = upslope.load_prior("cartpole")
     settings = {
         "DQN": {
@@ -41,7 +41,7 @@ def main(options: Options) -> None:
         # The order counts: monitor inside (raw returns), shaping outside.
         env: gym.Env = Monitor(gym.make("upslope/CartPole-v0", length=options.length))
         if shaped:
-            env = upslope.PotentialShaping(env, prior, gamma=prior.gamma)
+            env = upslope.shape(env, prior, gamma=prior.gamma)
         learner = getattr(sb3, options.algorithm)
         model = learner("MlpPolicy", env, gamma=prior.gamma, device="cpu", seed=0, **settings[options.algorithm])
         model.learn(300 if options.quick else options.steps)

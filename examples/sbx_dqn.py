@@ -26,12 +26,12 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Trains twice, and prints raw greedy returns; 200 is the top."""
+    """Trains twice, and prints raw greedy returns; the maximum is 200."""
     prior = upslope.load_prior("cartpole")
     for shaped in (False, True):
         env: gym.Env = Monitor(gym.make("upslope/CartPole-v0", length=options.length))
         if shaped:
-            env = upslope.PotentialShaping(env, prior, gamma=prior.gamma)
+            env = upslope.shape(env, prior, gamma=prior.gamma)
         model = sbx.DQN(
             "MlpPolicy", env, gamma=prior.gamma, learning_rate=1e-3, learning_starts=100, train_freq=1, tau=0.01,
             target_update_interval=1, batch_size=64, policy_kwargs={"net_arch": [32, 32]}, seed=0,

@@ -13,7 +13,6 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from torch import nn
 
 import upslope
-from upslope.wrappers.vector import PotentialShaping
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Trains twice, and prints the mean raw return of the last twenty episodes; 200 is the top."""
+    """Trains twice, and prints the mean raw return of the last twenty episodes; the maximum is 200."""
     prior = upslope.load_prior("cartpole")
     for shaped in (False, True):
         returns = train(options, prior, shaped)
@@ -45,7 +44,7 @@ def train(options: Options, prior: upslope.Prior, shaped: bool) -> list[float]:
     # In the same step, so that every step is a transition, and the true successor is in final_obs.
     envs = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.SAME_STEP)
     if shaped:
-        envs = PotentialShaping(envs, prior, gamma=prior.gamma)
+        envs = upslope.shape(envs, prior, gamma=prior.gamma)
     count = envs.num_envs
     network, target = (nn.Sequential(nn.Linear(4, 64), nn.ReLU(), nn.Linear(64, 2)) for _ in range(2))
     target.load_state_dict(network.state_dict())

@@ -33,7 +33,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Trains twice, and prints raw greedy returns; 200 is the top."""
+    """Trains twice, and prints raw greedy returns; the maximum is 200."""
     for shaped in (False, True):
         print(f"{'shaped' if shaped else 'unshaped'}: raw return {train(options, shaped):.1f}")
 
@@ -48,7 +48,7 @@ def train(options: Options, shaped: bool) -> float:
         return gym.make("upslope/CartPole-v0", length=options.length)
 
     def for_learning() -> gym.Env:
-        return upslope.PotentialShaping(pole(), prior, gamma=prior.gamma) if shaped else pole()
+        return upslope.shape(pole(), prior, gamma=prior.gamma) if shaped else pole()
 
     # Tianshou resets its environments one by one, so the single wrapper goes inside its vector.
     envs, raw = DummyVectorEnv([for_learning]), DummyVectorEnv([pole] * 5)

@@ -135,7 +135,7 @@ class TestPotentials:
             check_shaping(PotentialShaping(Ending(), zoo.breaking_phi, GAMMA), zoo.breaking_phi, GAMMA).findings == ()
         )
 
-    def test_large_constant_level_is_told_with_its_drip_but_is_no_error(self):
+    def test_a_large_constant_level_is_a_finding_but_not_an_error(self):
         def high(obs):
             return 1000.0 + float(obs[0])
 
@@ -210,7 +210,7 @@ def test_a_clip_above_the_shaping():
     assert "outside the shaping" in report.findings[0].evidence
 
 
-def test_annealing_is_told_as_what_it_is_to_a_replay():
+def test_annealing_is_a_stale_mixture_for_a_replay():
     env = PotentialShaping(Walk(), phi, GAMMA, anneal_steps=3000)
     assert names(check_shaping(env, phi, GAMMA)) == ["stale_mixture"]
 

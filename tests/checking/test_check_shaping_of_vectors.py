@@ -68,7 +68,7 @@ def test_wrong_wrappers_below_autoreset(wrong):
 
 @MODES
 @pytest.mark.parametrize("around", [True, False])
-def test_annealing_is_a_stale_mixture_whoever_counts_the_steps(mode, around):
+def test_annealing_is_a_stale_mixture_inside_and_around_the_vector(mode, around):
     if around:
         env = VectorShaping(SyncVectorEnv([Walk] * 2, autoreset_mode=mode), phi, GAMMA, anneal_steps=1500)
     else:
@@ -90,7 +90,7 @@ def shaped_by_another():
 
 class TestWorkerProcesses:
     @MODES
-    def test_shaping_inside_them_is_judged_by_the_raw_rewards_they_tell(self, mode):
+    def test_shaping_inside_them_is_judged_by_the_raw_rewards_they_report(self, mode):
         env = AsyncVectorEnv([shaped] * 2, autoreset_mode=mode, context="spawn")
         right = check_shaping(env, phi, GAMMA, steps=300)
         wrong = check_shaping(env, phi, 0.95, steps=300)
@@ -106,7 +106,7 @@ class TestWorkerProcesses:
             check_shaping(env, phi, GAMMA, steps=50)
         env.close()
 
-    def test_ends_that_never_came_are_told(self):
+    def test_missing_ends_are_reported(self):
         env = vectors.VectorZeroedAtTruncation(AsyncVectorEnv([cartpole] * 2, context="spawn"))
         report = check_shaping(env, phi, GAMMA, steps=200)
         env.close()
@@ -117,7 +117,7 @@ class TestWorkerProcesses:
         assert "zeroed_at_truncation" in names(check_shaping(beside, phi, GAMMA, steps=200))
 
 
-def test_a_vector_that_is_no_bundle_of_environments():
+def test_a_vector_without_sub_environments():
     env = gym.make_vec("CartPole-v1", 2, vectorization_mode="vector_entry_point")
     assert names(check_shaping(env, phi, GAMMA, steps=100))[0] == "never_applied"
 

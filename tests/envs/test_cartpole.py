@@ -109,7 +109,7 @@ class TestEndsOfEpisodes:
 
 class TestAutomaticReset:
     @pytest.mark.parametrize("start", [ALMOST_FALLEN, {"angle": 0.2, "time": 199}], ids=["terminated", "truncated"])
-    def test_the_true_successor_is_kept_beside_the_fresh_observation(self, start):
+    def test_the_true_successor_is_kept_next_to_the_reset_observation(self, start):
         obs, following, _, _, _, info = one_step(state(**start))
         # Euler: the angle moves by 0.02 s of the spin that there was.
         assert float(info["final_observation"][2]) == pytest.approx(start["angle"] + 0.02 * start.get("spin", 0.0))

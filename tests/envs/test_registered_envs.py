@@ -116,7 +116,7 @@ def test_registering_twice_does_nothing():
 def test_actions_that_are_none(name, action):
     env = gym.make(name, disable_env_checker=True).unwrapped
     env.reset(seed=0)
-    with pytest.raises(UpslopeError, match="is no action here"):
+    with pytest.raises(UpslopeError, match="is not an action of this environment"):
         env.step(action)
 
 

@@ -48,7 +48,7 @@ def test_every_cell_and_action_as_in_the_compiled_game():
     assert tried == 32
 
 
-def test_slipping_goes_to_both_sides_as_often_as_said():
+def test_slipping_goes_to_both_sides_with_the_given_probability():
     env = made(map="...\nS..\n..G", slip=0.4)
     env.reset(seed=0)
     seen = []
@@ -112,7 +112,7 @@ def test_pictures_and_text_show_where_one_stands():
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "words"),
     [
         ({"map": "S.\n..G"}, "same number"),
         ({"map": "S.X.G"}, "'X'"),
@@ -122,11 +122,11 @@ def test_pictures_and_text_show_where_one_stands():
         ({"map": "S.G", "trap_penalty": -1.0}, "traps cost something"),
     ],
 )
-def test_texts_that_are_no_maps(settings, said):
-    with pytest.raises(upslope.UpslopeError, match=said):
+def test_texts_that_are_not_maps(settings, words):
+    with pytest.raises(upslope.UpslopeError, match=words):
         made(**settings)
 
 
 def test_an_episode_begins_where_something_can_be_done():
-    with pytest.raises(upslope.UpslopeError, match="give a free one of the 3"):
+    with pytest.raises(upslope.UpslopeError, match="give a free one of the 3 cells"):
         made(map="S#G").reset(options={"cell": 1})

@@ -83,14 +83,14 @@ def test_dict_observations(batched):
 
 
 class TestPartOfABatch:
-    def test_zero_where_nothing_is_asked_and_no_failure_there(self):
-        asked = np.array([False, True, False, True])
-        masked = np.where(asked[:, None], OBS, np.float32(np.nan))
+    def test_zero_where_nothing_is_needed_and_no_failure_there(self):
+        needed = np.array([False, True, False, True])
+        mneeded = np.where(needed[:, None], OBS, np.float32(np.nan))
         for potential in (POTENTIALS["numpy, one"], POTENTIALS["numpy, a batch"], POTENTIALS["jax, a batch"]):
-            values = Evaluator(potential, BOX).where(masked, asked)
-            np.testing.assert_allclose(values, np.where(asked, EXPECTED, 0.0), rtol=1e-6)
+            values = Evaluator(potential, BOX).where(mneeded, needed)
+            np.testing.assert_allclose(values, np.where(needed, EXPECTED, 0.0), rtol=1e-6)
 
-    def test_batches_keep_their_size_so_that_nothing_is_compiled_anew(self):
+    def test_batches_keep_their_size_so_that_nothing_is_compiled_again(self):
         sizes = []
 
         def potential(obs):
@@ -102,14 +102,14 @@ class TestPartOfABatch:
         sizes.clear()
         for count in range(5):
             evaluator.where(OBS, np.arange(4) < count)
-        assert sizes == [4, 4, 4, 4], "and none is asked where nothing is asked for"
+        assert sizes == [4, 4, 4, 4], "and Φ is not called where nothing is needed"
 
     def test_parts(self):
         space = Dict({"a": BOX, "b": Discrete(3)})
         batch = {"a": OBS, "b": np.arange(4) % 3}
-        asked = np.array([False, False, True, True])
-        values = Evaluator(lambda obs: obs["a"][:, 1] + obs["b"], space).where(batch, asked)
-        np.testing.assert_allclose(values, np.where(asked, OBS[:, 1] + np.arange(4) % 3, 0.0), rtol=1e-6)
+        needed = np.array([False, False, True, True])
+        values = Evaluator(lambda obs: obs["a"][:, 1] + obs["b"], space).where(batch, needed)
+        np.testing.assert_allclose(values, np.where(needed, OBS[:, 1] + np.arange(4) % 3, 0.0), rtol=1e-6)
 
 
 class TestShapes:

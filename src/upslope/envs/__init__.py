@@ -1,1 +1,1 @@
-"""Environments of our own: stateless and compiled, with the signature of gymnax ≥ 1.0, and their Gymnasium twins."""
+"""Our own environments: stateless and compiled, with the signature of gymnax ≥ 1.0, and as Gymnasium environments."""

@@ -1,6 +1,6 @@
 """CartPole with a pole of any length (Sec. 5.1), with discrete or continuous actions, in JAX.
 
-The dynamics are Gymnasium's (Euler, 0.02 s). The length decides the pole's mass, its centre and so the whole dynamics.
+The dynamics are Gymnasium's (Euler, 0.02 s). The length determines the pole's mass and centre, and so the dynamics.
 """
 
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from upslope.envs.cartpole_physics import FIFTEEN_DEGREES, Lengthened, euler_equations
+from upslope.envs.cartpole_physics import FIFTEEN_DEGREES, PoleGeometry, euler_equations
 from upslope.types import Key, Scalar
 
 
-class CartPoleParams(Lengthened, eqx.Module):
-    """One CartPole: what is chosen. What follows from it is derived, so that nothing can go stale.
+class CartPoleParams(PoleGeometry, eqx.Module):
+    """The free parameters of one CartPole; the others are derived from them.
 
     Attributes:
         length: the full length of the pole, in metres. Gymnasium's default pole is 1.0 by this measure.
@@ -25,9 +25,9 @@ class CartPoleParams(Lengthened, eqx.Module):
         pole_density: kg per metre of pole; the default gives Gymnasium's 0.1 kg at length 1.0.
         force: newtons of a full push.
         time_step: seconds of one step.
-        angle_limit: radians from upright at which the pole has fallen; the paper's 15 degrees.
-        track_limit: metres from the centre at which the cart has left the track.
-        max_steps_in_episode: truncation.
+        angle_limit: radians from upright beyond which the pole has fallen; the paper's 15 degrees.
+        track_limit: metres from the centre beyond which the cart has left the track.
+        max_steps_in_episode: number of steps after which an episode is truncated.
     """
 
     length: Float[Array, ""] | float = 1.0
@@ -53,17 +53,17 @@ class CartPole:
     """The environment, stateless, with the signature of gymnax ≥ 1.0.
 
     Discrete actions push left (0) or right (1) with the full force. A continuous action is one number in [−1, 1]:
-    its sign is the direction, its absolute value the share of the full force.
+    its sign is the direction, its absolute value the fraction of the full force.
     """
 
     continuous: bool = False
 
-    #: Scales that bring each observation to the order of one.
+    #: Factors that bring each coordinate of an observation to the order of one.
     observation_scale = (1 / 2.4, 1 / 2.0, 1 / 0.2, 1 / 2.0)
 
     @property
     def actions(self) -> int:
-        """How many discrete actions, or how many numbers in a continuous one."""
+        """The number of discrete actions, or of coordinates of a continuous one."""
         return 1 if self.continuous else 2
 
     def reset(self, key: Key, params: CartPoleParams) -> tuple[Float[Array, "4"], CartPoleState]:
@@ -78,8 +78,8 @@ class CartPole:
         """One step, with automatic reset.
 
         Returns:
-            Observation to act on, state, reward (1 for every step taken), terminated, truncated, and
-            ``info["final_observation"]``: the true successor, which the observation is not where an episode ended.
+            Observation to act on, state, reward (1 for every step), terminated, truncated, and
+            ``info["final_observation"]``: the true successor; after an end the observation is the next episode's.
         """
         physics = euler_step(state.physics, self.push(action, params), params)
         time = state.time + 1
@@ -93,7 +93,7 @@ class CartPole:
         return obs, following, jnp.ones(()), terminated, truncated, {"final_observation": physics}
 
     def push(self, action: Any, params: CartPoleParams) -> Scalar:
-        """The force in newtons of an action."""
+        """The force of an action, in newtons."""
         if self.continuous:
             return params.force * jnp.clip(jnp.reshape(action, ()), -1.0, 1.0)
         return params.force * (2.0 * jnp.asarray(action, jnp.float32) - 1.0)

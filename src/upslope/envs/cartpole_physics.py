@@ -1,6 +1,6 @@
-"""The cart and the pole as arithmetic, on plain numbers or on arrays: nothing here needs JAX.
+"""The equations of the cart and the pole, for plain numbers and arrays. Needs no JAX.
 
-So a simulator process that balances a pole on the host need not load it.
+Simulator processes that balance a pole on the host therefore load none.
 """
 
 import math
@@ -10,8 +10,8 @@ from typing import Any
 FIFTEEN_DEGREES = 15 * math.pi / 180
 
 
-class Lengthened:
-    """What follows from a pole's length; see `upslope.envs.cartpole.CartPoleParams` for what is chosen."""
+class PoleGeometry:
+    """What follows from the pole's length; `upslope.envs.cartpole.CartPoleParams` has the free parameters."""
 
     length: Any
     cart_mass: Any
@@ -32,8 +32,8 @@ class Lengthened:
 
 
 @dataclass(frozen=True)
-class Pole(Lengthened):
-    """The chosen numbers of one CartPole, plain; see `upslope.envs.cartpole.CartPoleParams` for what they are."""
+class Pole(PoleGeometry):
+    """The free parameters of one CartPole as plain numbers; see `upslope.envs.cartpole.CartPoleParams`."""
 
     length: float = 1.0
     gravity: float = 9.8
@@ -46,13 +46,13 @@ class Pole(Lengthened):
 
 
 def euler_equations(physics: tuple, force: Any, cosine: Any, sine: Any, params: Any) -> list:
-    """The equations of `euler_step` on four numbers: arithmetic only, so that plain floats do as well as arrays."""
+    """One Euler step of the four coordinates: arithmetic only, for plain floats and arrays alike."""
     position, velocity, angle, angular_velocity = physics
     pole_moment = params.pole_mass * params.half_length
-    pushed = (force + pole_moment * angular_velocity**2 * sine) / params.total_mass
+    thrust = (force + pole_moment * angular_velocity**2 * sine) / params.total_mass
     inertia = params.half_length * (4.0 / 3.0 - params.pole_mass * cosine**2 / params.total_mass)
-    angular_acceleration = (params.gravity * sine - cosine * pushed) / inertia
-    acceleration = pushed - pole_moment * angular_acceleration * cosine / params.total_mass
+    angular_acceleration = (params.gravity * sine - cosine * thrust) / inertia
+    acceleration = thrust - pole_moment * angular_acceleration * cosine / params.total_mass
     return [
         position + params.time_step * velocity,
         velocity + params.time_step * acceleration,

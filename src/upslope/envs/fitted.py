@@ -1,4 +1,4 @@
-"""Environments of others with the signature of gymnax ≥ 1.0, made fit for the learners here."""
+"""Adapts environments with the signature of gymnax ≥ 1.0 to the learners here."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,15 +12,15 @@ from upslope.types import Scalar
 
 @dataclass(frozen=True)
 class FittedEnvironment:
-    """One array of floats for an observation, actions from 0 to n − 1 or in [−1, 1], and true successors.
+    """Observations are one array of floats, actions go from 0 to n − 1 or lie in [−1, 1], successors are the true ones.
 
     A step that terminates at the time limit is terminated, not truncated.
 
     Attributes:
         env: ``reset(key, params)`` and the six-value ``step(key, state, action, params)``.
-        observations: how many, where an observation is a number that stands for one of so many; else 0.
+        observations: the number of different observations where an observation is an integer; else 0.
         observation_shape: of one observation: a vector, or an image ``[height, width, channels]``.
-        action_shape: of a continuous action as the environment takes it; None for discrete ones.
+        action_shape: of a continuous action of the environment; None for discrete ones.
     """
 
     env: Any
@@ -35,7 +35,7 @@ class FittedEnvironment:
     def step(
         self, key: Array, state: Any, action: Any, params: Any
     ) -> tuple[Float[Array, "*obs"], Any, Scalar, Bool[Array, ""], Bool[Array, ""], dict[str, Array]]:
-        """One step, with the automatic reset of the environment itself.
+        """One step, with the environment's own automatic reset.
 
         Returns:
             Observation to act on, state, reward, terminated, truncated, and ``info["final_observation"]``.
@@ -53,7 +53,7 @@ class FittedEnvironment:
         return jnp.concatenate(leaves).reshape(self.observation_shape)
 
     def _push(self, action: Any, params: Any) -> Any:
-        """The action as the environment takes it; bounds may differ from task to task."""
+        """The action in the environment's own units; bounds may differ from task to task."""
         if self.action_shape is None:
             return action
         space = self.env.action_space(params)

@@ -1,4 +1,4 @@
-"""Grid games (Sec. 5.2): maps of any size with a start, a goal, obstacles, and if wanted traps and slippery moves.
+"""Grid games (Sec. 5.2): maps of any size with a start, a goal, obstacles, and optionally traps and slippery moves.
 
 The map is the task. Cells are numbered row by row: cell = row · width + column.
 """
@@ -27,9 +27,9 @@ class GridParams(eqx.Module):
         traps: cells that end the episode with a penalty ``[height, width]``; never the start, the goal or an obstacle.
         start: cell in which episodes start.
         goal: cell whose entering ends the episode with reward 1; never the start.
-        trap_penalty: what entering a trap costs.
-        slip: probability that a move goes to one of its two sides, half of it to each; used by slippery games only.
-        max_steps_in_episode: truncation.
+        trap_penalty: cost of entering a trap.
+        slip: probability that a move slips, to either side with half of it; only slippery games use it.
+        max_steps_in_episode: number of steps after which an episode is truncated.
     """
 
     obstacles: Bool[Array, "*maps height width"]
@@ -42,7 +42,7 @@ class GridParams(eqx.Module):
 
 
 class GridState(eqx.Module):
-    """The agent's cell, and steps taken in this episode."""
+    """The agent's cell, and the number of steps in this episode."""
 
     cell: Cell
     time: Int[Array, ""]
@@ -52,7 +52,8 @@ class GridState(eqx.Module):
 class GridGame:
     """The environment, stateless, with the signature of gymnax ≥ 1.0.
 
-    Actions go up (0), down (1), left (2) and right (3); into an obstacle or over the border one stays. Observations are
+    Actions go up (0), down (1), left (2) and right (3); a move into an obstacle or over the border changes
+    nothing. Observations are
     0/1 channels ``[height, width, channels]``: start, goal, current position, obstacles, and traps if there are any.
 
     Attributes:
@@ -69,7 +70,7 @@ class GridGame:
     slippery: bool = False
     flat: bool = False
 
-    #: How many discrete actions.
+    #: The number of discrete actions.
     actions = 4
 
     @property
@@ -85,7 +86,7 @@ class GridGame:
         return (self.cells * self.channels,) if self.flat else (self.height, self.width, self.channels)
 
     def reset(self, key: Key, params: GridParams) -> tuple[Float[Array, "*obs"], GridState]:
-        """Every episode starts in the map's start."""
+        """Every episode begins in the start cell."""
         del key
         return self.observe(params, params.start), GridState(params.start, jnp.zeros((), jnp.int32))
 
@@ -96,8 +97,8 @@ class GridGame:
 
         Returns:
             Observation to act on, state, reward (1 at the goal, minus the penalty in a trap, else 0), terminated,
-            truncated, and ``info["final_observation"]``: the true successor, which the observation is not where an
-            episode ended.
+            truncated, and ``info["final_observation"]``: the true successor; where an episode ended, the observation is
+            the next one's.
         """
         direction = jnp.asarray(action, jnp.int32)
         if self.slippery:
@@ -113,19 +114,19 @@ class GridGame:
         return self.observe(params, following.cell), following, reward, terminated, truncated, info
 
     def move(self, params: GridParams, cell: Cell, direction: Int[Array, ""]) -> Cell:
-        """Where one stands after a move that did not slip."""
+        """The cell after a move that did not slip."""
         return rules.destination(jnp, params.obstacles, cell, direction)
 
     def observe(self, params: GridParams, cell: Cell) -> Float[Array, "*obs"]:
-        """What is seen from a cell."""
+        """The observation in a cell."""
         return rules.observation(jnp, params, cell, traps=self.traps).reshape(self.observation_shape)
 
     def observe_all(self, params: GridParams) -> Float[Array, "cells *obs"]:
-        """What is seen from every cell, obstacles and the goal included."""
+        """The observations in all cells, including obstacles and the goal."""
         return jax.vmap(self.observe, in_axes=(None, 0))(params, jnp.arange(self.cells))
 
     def state_number(self, obs: Float[Array, "*obs"]) -> Cell:
-        """The cell that an observation was made from."""
+        """The cell of the agent in an observation."""
         return jnp.argmax(obs.reshape(self.cells, self.channels)[:, rules.POSITION]).astype(jnp.int32)
 
     def outcomes(self, params: GridParams) -> Outcomes:
@@ -134,16 +135,16 @@ class GridGame:
 
 
 def read_map(text: str, *, trap_penalty: float = 1.0, slip: float = 0.0, max_steps: int = 50) -> GridParams:
-    """The map that a text shows.
+    """Reads a map from text.
 
     Args:
         text: one line for each row; spaces around lines do not count.
-        trap_penalty: what entering a trap costs.
+        trap_penalty: cost of entering a trap.
         slip: probability that a move goes to one of its two sides instead.
-        max_steps: truncation.
+        max_steps: number of steps after which an episode is truncated.
 
     Raises:
-        UpslopeError: what `read_board` raises.
+        UpslopeError: as in `read_board`.
     """
     board = read_board(text, trap_penalty=trap_penalty, slip=slip)
     parts = {name: jnp.asarray(part) for name, part in board._asdict().items()}

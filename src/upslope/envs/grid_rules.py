@@ -1,6 +1,6 @@
-"""The rules of grid games as arithmetic on arrays, NumPy's or JAX's: nothing here needs JAX.
+"""The rules of grid games, for arrays of NumPy and of JAX. Needs no JAX.
 
-So the compiled games and those on the host are one game, and a simulator process need not load JAX to play it.
+Compiled games and games on the host therefore share their rules, and simulator processes load no JAX.
 """
 
 import math
@@ -13,27 +13,27 @@ from upslope.errors import UpslopeError
 
 UP, DOWN, LEFT, RIGHT = range(4)
 
-#: Channels of an observation; the last is there only where the game has traps.
+#: Channels of an observation; only games with traps have the last one.
 START, GOAL, POSITION, OBSTACLES, TRAPS = range(5)
 
 _ROW_STEPS = (-1, 1, 0, 0)
 _COLUMN_STEPS = (0, 0, -1, 1)
 
-#: Where a move can go: as meant, or, if it slips, to either side of it.
+#: Directions in which a move can go: as intended, or to either side if it slips.
 SIDEWAYS = ((UP, LEFT, RIGHT), (DOWN, LEFT, RIGHT), (LEFT, UP, DOWN), (RIGHT, UP, DOWN))
 
 
 class Outcomes(NamedTuple):
-    """Everything that can follow upon every action in every cell: the dynamics as tables.
+    """The dynamics as tables: the outcomes of every action in every cell.
 
-    In goals, traps and obstacles nothing can be done: they lead to themselves, without reward, terminated.
+    Goals, traps and obstacles lead to themselves, without reward, terminated.
 
     Attributes:
         successors: s' ``[cells, actions, outcomes]``; one outcome, or three where moves slip.
         probabilities: of each outcome.
         rewards: R(s, a, s').
         terminated: whether s' ends the episode.
-        acting: cells in which one acts ``[cells]``.
+        acting: cells in which the agent can act ``[cells]``.
     """
 
     successors: Int[Any, "cells actions outcomes"]
@@ -44,7 +44,7 @@ class Outcomes(NamedTuple):
 
 
 def destination(xp: ModuleType, obstacles: Bool[Any, "height width"], cell: Any, direction: Any) -> Any:
-    """Where one stands after a move that did not slip; cells and directions of any shapes that go together."""
+    """The cell after a move that did not slip; cells and directions may have any shapes that broadcast."""
     height, width = obstacles.shape
     row = cell // width + xp.asarray(_ROW_STEPS)[direction]
     column = cell % width + xp.asarray(_COLUMN_STEPS)[direction]
@@ -60,7 +60,7 @@ def arrival(xp: ModuleType, params: Any, cell: Int[Any, "*cells"]) -> tuple[Floa
 
 
 def chances(xp: ModuleType, slip: Any) -> Float[Any, "3"]:
-    """Of going as meant, and to either side."""
+    """Probabilities of going as intended, and to either side."""
     return xp.stack([1 - slip, slip / 2, slip / 2])
 
 
@@ -83,7 +83,7 @@ def outcomes(xp: ModuleType, params: Any, *, slippery: bool) -> Outcomes:
 
 
 def observation(xp: ModuleType, params: Any, cell: Any, *, traps: bool) -> Float[Any, "cells channels"]:
-    """What is seen from a cell: channels of zeros and ones."""
+    """The observation in a cell: channels of zeros and ones."""
     cells = xp.arange(params.obstacles.size)
     layers = [cells == where for where in (params.start, params.goal, cell)] + [params.obstacles.ravel()]
     if traps:
@@ -93,10 +93,10 @@ def observation(xp: ModuleType, params: Any, cell: Any, *, traps: bool) -> Float
 
 
 def check_settings(slip: float, trap_penalty: float) -> None:
-    """What maps of every origin must keep to.
+    """Checks settings that all maps share.
 
     Raises:
-        UpslopeError: a probability or a penalty that is none.
+        UpslopeError: ``slip`` is not a probability below 1, or the penalty is negative or not finite.
     """
     if not 0 <= slip < 1:
         raise UpslopeError(f"slip is {slip}, but it is a probability below 1: give one such as 0.2.")

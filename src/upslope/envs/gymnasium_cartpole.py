@@ -1,4 +1,4 @@
-"""CartPole with a pole of any length as a Gymnasium environment, with the compiled one's physics. Needs no JAX."""
+"""CartPole with a pole of any length as a Gymnasium environment; the equations are the compiled one's. No JAX."""
 
 import math
 from numbers import Real
@@ -22,8 +22,8 @@ _SKY, _LINE, _CART, _POLE, _AXLE = (255, 255, 255), (0, 0, 0), (40, 44, 52), (20
 class GymnasiumCartPole(gym.Env):
     """The cart and the pole, on the host, in double precision; observations are float32.
 
-    Reward 1 for every step taken. The episode terminates where the pole has fallen or the cart has left the track;
-    truncation is `gymnasium.make`'s affair. ``reset(options={"state": four numbers})`` starts there.
+    The reward is 1 for every step. The episode terminates when the pole has fallen or the cart has left the track;
+    `gymnasium.make` adds the time limit. ``reset(options={"state": four numbers})`` starts in that state.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium declares it so)
@@ -43,10 +43,10 @@ class GymnasiumCartPole(gym.Env):
         """Makes one CartPole.
 
         Args:
-            length: the full length of the pole, in metres. Gymnasium's own is 1.0 by this measure.
+            length: the full length of the pole, in metres. Gymnasium's default pole is 1.0 by this measure.
             continuous: one force in [−1, 1] (times 10 N) instead of two pushes.
-            angle_limit_degrees: the pole has fallen beyond this.
-            track_limit: the cart has left the track beyond this, in metres.
+            angle_limit_degrees: degrees from upright beyond which the pole has fallen.
+            track_limit: metres from the centre beyond which the cart has left the track.
             render_mode: "rgb_array" for pictures.
 
         Raises:
@@ -60,12 +60,12 @@ class GymnasiumCartPole(gym.Env):
             if not (isinstance(value, Real) and value > 0 and math.isfinite(value)):
                 raise UpslopeError(f"{name} is {value!r}, but it must be positive: give a number of metres or degrees.")
         pole = Pole(float(length), angle_limit=math.radians(angle_limit_degrees), track_limit=float(track_limit))
-        # Derived once, as plain numbers: looking them up in the module costs as much as the physics.
+        # Derived once, as plain numbers: computing them in every step would cost as much as the physics.
         self.params = SimpleNamespace(**{name: float(getattr(pole, name)) for name in _NUMBERS})
         self.continuous = continuous
         self.render_mode = render_mode
-        # Twice the limits, as in Gymnasium, for the observation that ends an episode lies beyond them; no pole of more
-        # than a centimetre gets as fast as the last.
+        # Twice the limits, as in Gymnasium, because the observation that ends an episode lies beyond them. No pole of
+        # more than a centimetre gets as fast as _FAST.
         high = np.array([2 * track_limit, _FAST, 2 * math.radians(angle_limit_degrees), _FAST], np.float32)
         self.observation_space = gym.spaces.Box(-high, high, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32) if continuous else gym.spaces.Discrete(2)
@@ -90,7 +90,7 @@ class GymnasiumCartPole(gym.Env):
         """One Euler step of 0.02 s.
 
         Raises:
-            UpslopeError: an action that is none.
+            UpslopeError: not an action of the action space.
         """
         angle = self._physics[2]
         self._physics = euler_equations(
@@ -104,7 +104,7 @@ class GymnasiumCartPole(gym.Env):
         """The cart, the pole and the track, ``[400, 600, 3]`` in 8 bits; None without ``render_mode``."""
         if self.render_mode is None:
             return None
-        from PIL import Image, ImageDraw  # matplotlib brings it; training needs none of it
+        from PIL import Image, ImageDraw  # installed with matplotlib; only pictures need it
 
         picture = Image.new("RGB", (_WIDTH, _HEIGHT), _SKY)
         draw = ImageDraw.Draw(picture)
@@ -129,7 +129,7 @@ class GymnasiumCartPole(gym.Env):
             return full
         elif action == 0:
             return -full
-        raise UpslopeError(f"{action!r} is no action here: give one of {self.action_space}.")
+        raise UpslopeError(f"{action!r} is not an action of this environment: give one of {self.action_space}.")
 
     def _obs(self) -> np.ndarray:
         return np.array(self._physics, np.float32)

@@ -1,4 +1,4 @@
-"""Maps as people write them: a line for each row, with S, G, # (obstacle), T (trap) and . (free). Needs no JAX."""
+"""Maps as text: one line per row, with S, G, # (obstacle), T (trap) and . (free). Needs no JAX."""
 
 from typing import Any, NamedTuple
 
@@ -23,23 +23,23 @@ class Board(NamedTuple):
 
 
 def read_board(text: str, *, trap_penalty: float = 1.0, slip: float = 0.0) -> Board:
-    """The map that a text shows.
+    """Reads a map from text.
 
     Args:
-        text: one line for each row; spaces around lines do not count.
-        trap_penalty: what entering a trap costs.
+        text: one line per row; spaces around lines do not count.
+        trap_penalty: cost of entering a trap.
         slip: probability that a move goes to one of its two sides instead.
 
     Raises:
-        UpslopeError: rows of different lengths, an unknown character, not one start and one goal, or a penalty or a
-            probability that is none.
+        UpslopeError: rows of different lengths, an unknown character, not exactly one start and one goal, or a penalty
+            or a probability that is out of range.
     """
     rows = [line.strip() for line in text.strip().splitlines()]
     if len({len(row) for row in rows}) != 1:
         raise UpslopeError(f"The map's rows have {sorted({len(row) for row in rows})} cells: give all the same number.")
     board = np.array([list(row) for row in rows])
     if unknown := sorted(set(board.ravel()) - {START, GOAL, OBSTACLE, TRAP, FREE}):
-        raise UpslopeError(f"The map has {''.join(unknown)!r} in it: write it with S, G, # (obstacle), T (trap) and .")
+        raise UpslopeError(f"The map contains {''.join(unknown)!r}: write it with S, G, # (obstacle), T (trap) and .")
     for name, mark in (("start", START), ("goal", GOAL)):
         if np.sum(board == mark) != 1:
             raise UpslopeError(f"The map has {np.sum(board == mark)} cells with {mark}: give it one {name}.")
@@ -55,7 +55,7 @@ def read_board(text: str, *, trap_penalty: float = 1.0, slip: float = 0.0) -> Bo
 
 
 def write_map(params: Any) -> str:
-    """One map as text, a task's or a `Board`: what `read_board` reads, penalty and slipping apart."""
+    """Writes the map of a task or a `Board` as text for `read_board`, without its penalty and its slipping."""
     board = np.where(params.obstacles, OBSTACLE, np.where(params.traps, TRAP, FREE))
     board.flat[int(params.start)], board.flat[int(params.goal)] = START, GOAL
     return "\n".join("".join(row) for row in board)

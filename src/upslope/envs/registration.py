@@ -2,7 +2,7 @@
 
 import gymnasium as gym
 
-#: Steps after which an episode is truncated, unless `gymnasium.make` is told otherwise.
+#: Steps after which an episode is truncated, unless `gymnasium.make` is given another limit.
 MAX_STEPS = 200
 MAX_STEPS_ON_MAPS = 50
 

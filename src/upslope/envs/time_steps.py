@@ -1,4 +1,4 @@
-"""Environments that answer with one time step, as xminigrid's do, with the signature of gymnax ≥ 1.0."""
+"""Environments that return one time step, such as xminigrid's, with the signature of gymnax ≥ 1.0."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,11 +14,11 @@ from upslope.types import Scalar
 
 @dataclass(frozen=True)
 class TimeStepEnvironment:
-    """Resets by itself, and tells terminations (a discount of zero) from truncations (an end without).
+    """Resets automatically, and separates terminations (the discount is zero) from truncations (it is not).
 
     Attributes:
-        env: ``reset(params, key)`` and ``step(params, time_step, action)``, neither of which resets by itself; the time
-            step has ``observation``, ``reward``, ``discount`` and ``last()``.
+        env: ``reset(params, key)`` and ``step(params, time_step, action)``, without automatic resets; the time step has
+            ``observation``, ``reward``, ``discount`` and ``last()``.
     """
 
     env: Any
