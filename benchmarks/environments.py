@@ -27,7 +27,7 @@ from upslope.equations.maml import descend
 from upslope.learners.dqn import dqn_loss
 from upslope.networks.dueling import QNetwork
 from upslope.run.compiling import set_up_devices
-from upslope.run.randomness import unrolled
+from upslope.run.randomness import unroll
 from upslope.tasks import cartpoles, obstacle_maps
 from upslope.types import Transition
 
@@ -124,7 +124,7 @@ def rivals() -> list[Rival]:
 def compiled(rival: Rival, width: int, steps: int, level: str) -> Callable[[], object]:
     """So many steps of so many environments in one program, on one device."""
     program = jax.jit(player(rival, width, steps, level), compiler_options=QUICK_TO_RUN)
-    key, params = unrolled(jax.random.key(2)), rival.params(width)
+    key, params = unroll(jax.random.key(2)), rival.params(width)
     return lambda: program(key, params).block_until_ready()
 
 
@@ -138,7 +138,7 @@ def on_all_cores(rival: Rival, width: int, steps: int) -> Callable[[], object]:
         check_vma=False,
     )  # fmt: skip
     program = jax.jit(share, compiler_options=QUICK_TO_RUN)
-    given = (unrolled(jax.random.split(jax.random.key(2), devices)), rival.params(width // devices * devices))
+    given = (unroll(jax.random.split(jax.random.key(2), devices)), rival.params(width // devices * devices))
     key, params = jax.device_put(given, NamedSharding(mesh, cores))
     return lambda: program(key, params).block_until_ready()
 
@@ -154,7 +154,7 @@ def resets(rival: Rival, width: int, steps: int) -> Callable[[], object]:
 
         return jax.lax.scan(one_step, jnp.zeros(()), jax.random.split(key, steps))[0]
 
-    key, params = unrolled(jax.random.key(2)), rival.params(width)
+    key, params = unroll(jax.random.key(2)), rival.params(width)
     return lambda: program(key, params).block_until_ready()
 
 

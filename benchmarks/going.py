@@ -6,8 +6,7 @@ import jax
 import numpy as np
 
 from upslope.learners.learner import AbstractLearner
-from upslope.run.engines import compiled as chunks
-from upslope.run.layout import laid_out
+from upslope.run.engines import ENGINES, lay_out
 from upslope.types import Keys
 
 
@@ -20,8 +19,9 @@ class Going:
 
     def __init__(self, learners: AbstractLearner, keys: Keys):
         self.count = len(keys)
-        _, self._learners, keys = laid_out(learners, keys)
-        self._states, self._totals = chunks.start(self._learners, keys)
+        self._engine = ENGINES[learners.engine]
+        self._learners, keys = lay_out(self._engine, learners, keys)
+        self._states, self._totals = self._engine.start(self._learners, keys)
 
     def advance(self, steps: int) -> None:
         """So many steps more, waited for."""
@@ -38,6 +38,6 @@ class Going:
         return self._states
 
     def _advance(self, steps: int, *, report: bool) -> dict[str, Any]:
-        chunk = chunks.advance(self._learners, self._states, self._totals, steps, fresh=False, report=report)
+        chunk = self._engine.advance(self._learners, self._states, self._totals, steps, fresh=False, report=report)
         self._states, self._totals, told = jax.block_until_ready((chunk.states, chunk.totals, chunk.report))
         return told

@@ -63,7 +63,7 @@ def train(name: str, iterations: int) -> tuple[float, float]:
     began = time.perf_counter()
     outcome = run(learners, jax.random.key(0)[None], updates=iterations, every=iterations)
     seconds = time.perf_counter() - began - outcome.seconds_compiling
-    return seconds, family.environments.seconds / seconds
+    return seconds, family.rollouts.seconds / seconds
 
 
 def made(name: str, length: float) -> gym.Env:

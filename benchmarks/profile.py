@@ -20,14 +20,14 @@ from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig
 from upslope.compiler_options import QUICK_TO_COMPILE, QUICK_TO_RUN
 from upslope.learners.ddpg import DDPG
 from upslope.learners.dqn import DQN
-from upslope.learners.learner import AbstractLearner, in_turn
+from upslope.learners.learner import AbstractLearner
 from upslope.learners.shaping import Shaping, potential_based
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.recipes import for_grid_games
 from upslope.priors.potentials import mean_potential, stack
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
-from upslope.run.randomness import unrolled
+from upslope.run.randomness import unroll
 from upslope.tasks import cartpoles, obstacle_maps
 from upslope.types import Keys
 
@@ -70,7 +70,7 @@ def all_jobs(count: int) -> dict[str, Callable[[], tuple[AbstractLearner, Keys, 
     prior = MetaTraining(poles).init(jax.random.key(2)).theta
 
     def keys(count: int) -> Keys:
-        return unrolled(jax.random.split(jax.random.key(0), count))
+        return unroll(jax.random.split(jax.random.key(0), count))
 
     def shaping() -> Shaping:
         return broadcast(potential_based(mean_potential(stack([prior] * 5))), (count,))
@@ -102,7 +102,7 @@ def all_jobs(count: int) -> dict[str, Callable[[], tuple[AbstractLearner, Keys, 
 def cut_off(learners: AbstractLearner, keys: Keys, phases: Mapping[str, Phase], steps: int) -> dict[str, Part]:
     """Programs of so many steps that end after each phase."""
     axes = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, learners)
-    alone = in_turn(learners)
+    alone = learners.takes_turns
     start = jax.jit(jax.vmap(lambda one, key: one.init(key), (axes, 0)), compiler_options=QUICK_TO_COMPILE)
     states = start(learners, keys)
 

@@ -10,7 +10,7 @@ from reliability.processes import Ending, require, resume, work
 
 MILESTONES = (
     "before the temporary file",
-    "amid the temporary file",
+    "inside the temporary file",
     "before the file's fsync",
     "before the rename",
     "before the folder's fsync",

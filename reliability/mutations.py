@@ -29,6 +29,14 @@ Load = Callable[[Path], object]
 class Counting(AbstractLearner):
     """A learner that compiles in no time."""
 
+    @property
+    def engine(self) -> str:
+        return "compiled"
+
+    @property
+    def takes_turns(self) -> bool:
+        return False
+
     def init(self, key: jax.Array) -> Any:
         return {"key": key, "place": jax.random.normal(key, (40,))}
 

@@ -9,14 +9,14 @@ from typing import Any
 
 from reliability.processes import require
 from upslope.errors import UpslopeError
-from upslope.run.folder import claimed
+from upslope.run.folder import claim
 
 
 def _start(folder: Path, barrier: Barrier, told: Any) -> None:
     barrier.wait()
     began = time.monotonic()
     try:
-        with claimed(folder, "race"):
+        with claim(folder, "race"):
             told.put(("won", os.getpid(), time.monotonic() - began))
             time.sleep(5)
     except UpslopeError as error:

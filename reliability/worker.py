@@ -29,8 +29,8 @@ from upslope.networks.dueling import DuelingQ
 from upslope.priors.prior import Prior, trained_on
 from upslope.run.checkpoints import FORMAT_VERSION, KIND, Checkpoints
 from upslope.run.compiling import set_up_devices
-from upslope.run.engines import compiled as chunks
-from upslope.run.folder import claimed
+from upslope.run.engines import CompiledEngine
+from upslope.run.folder import claim
 from upslope.run.observers import EventLog
 from upslope.run.session import Session
 from upslope.run.signals import stop_requests
@@ -129,11 +129,11 @@ def sabotage(options: Worker) -> None:
     if options.at == "starting":
         before(Checkpoints, "stage")
     elif options.at == "compiling":
-        before(chunks, "start")
+        before(CompiledEngine, "start")
     elif options.at == "evaluating":
-        before(chunks, "advance", lambda *_, report, **__: report)
+        before(CompiledEngine, "advance", lambda *_, report, **__: report)
     elif options.at == "running":
-        before(chunks, "advance", lambda *_, report, **__: not report)
+        before(CompiledEngine, "advance", lambda *_, report, **__: not report)
     elif options.at == "saving":
         before(storage, "write")
     elif options.at == "ending":
@@ -148,7 +148,7 @@ def main() -> None:
     set_up_devices()
     sabotage(options)
     try:
-        with stop_requests(), claimed(options.folder, options.kind, resume=options.resume) as folder:
+        with stop_requests(), claim(options.folder, options.kind, resume=options.resume) as folder:
             kept = Checkpoints(folder, every_seconds=0.2, resume=options.resume)
             learn(options.kind, Session([EventLog(folder / "logs")], kept))
     except InterruptedRunError as stop:

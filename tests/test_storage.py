@@ -83,14 +83,16 @@ class TestWhatIsNotOurs:
         self.refuses(tmp_path / "nowhere", "There is no file")
 
     def test_a_folder(self, tmp_path):
-        self.refuses(tmp_path, "no file of upslope's")
+        self.refuses(tmp_path, "not a file of upslope")
 
     def test_empty(self, tmp_path):
         (tmp_path / "file").touch()
         self.refuses(tmp_path / "file", "can't be that long")
 
     def test_another_kind(self, tmp_path):
-        self.refuses(write(tmp_path / "file"), "is no upslope-prior file, but 'test'", kind="upslope-prior")
+        self.refuses(
+            write(tmp_path / "file"), "is not an upslope-prior file: its format is 'test'", kind="upslope-prior"
+        )
 
     def test_a_newer_format(self, tmp_path):
         path = tmp_path / "file"
@@ -99,11 +101,11 @@ class TestWhatIsNotOurs:
 
     def test_a_foreign_safetensors_file(self, tmp_path):
         save_file({"a": np.zeros(3)}, tmp_path / "file", metadata={"by": "others"})
-        self.refuses(tmp_path / "file", "something foreign")
+        self.refuses(tmp_path / "file", "its format is 'unknown'")
 
     def test_a_foreign_safetensors_file_without_metadata(self, tmp_path):
         save_file({"a": np.zeros(3)}, tmp_path / "file")
-        self.refuses(tmp_path / "file", "no file of upslope's")
+        self.refuses(tmp_path / "file", "not a file of upslope")
 
     def test_a_pickle(self, tmp_path):
         (tmp_path / "file").write_bytes(b"\x80\x04\x95\x0b\x00\x00\x00\x00\x00\x00\x00\x8c\x07os.exit\x94.")
@@ -152,7 +154,7 @@ class Plug:
 class TestTrouble:
     MILESTONES = (
         "before the temporary file",
-        "amid the temporary file",
+        "inside the temporary file",
         "before the file's fsync",
         "before the rename",
     )

@@ -1,29 +1,29 @@
-"""What users are told when something is wrong: the cause, and how to mend it."""
+"""Errors for users. Each message names the cause and the fix."""
 
 
 class UpslopeError(ValueError):
-    """Bad input, told in one sentence that names the cause and the mend.
+    """Bad input. The message names the cause and the fix in one sentence.
 
-    The command line prints it and exits with code 2; nothing has been written by then.
+    The command line prints it and exits with code 2, before anything is written.
     """
 
 
 class DamagedFileError(UpslopeError):
-    """A file that is damaged, cut short, foreign, or of another format than this version reads."""
+    """A file that is damaged, truncated, of another kind, or of a format that this version does not read."""
 
 
 class NotSavedError(UpslopeError):
-    """Something could not be written; what was there before is intact.
+    """A file could not be written. Earlier versions of it are intact.
 
     Attributes:
-        outcome: of the run that was stopped by it, as far as it came; None outside a run.
+        outcome: the results so far of the run that it stopped; None outside a run.
     """
 
     outcome: object = None
 
 
 class InterruptedRunError(UpslopeError):
-    """A run stopped by a signal, to be resumed later.
+    """A run that was stopped by a signal and can be resumed.
 
     Attributes:
         signal: its number.

@@ -24,7 +24,7 @@ _BLOCK = 2**20
 
 
 class Stored(NamedTuple):
-    """A file's contents.
+    """The content of a file.
 
     Attributes:
         header: what `write` was given.
@@ -38,21 +38,21 @@ class Stored(NamedTuple):
 
 
 def milestone(name: str) -> None:
-    """A named point inside a save. Does nothing: tests pull the plug here."""
+    """A named point inside a save. Does nothing; tests interrupt saves here."""
 
 
 def write(path: Path, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-    """Writes a file in one stroke: whoever looks sees the old file or the new one, whatever happens in between.
+    """Writes a file atomically: readers see the old file or the new one, whatever happens in between.
 
     Args:
         path: of the file; an older one is replaced.
         kind: of the file, for example ``upslope-prior``.
         version: of the kind's format.
-        header: anything that JSON can say.
-        arrays: numbers and Booleans by name; any shape.
+        header: any JSON value.
+        arrays: numbers and Booleans of any shape, by name.
 
     Raises:
-        NotSavedError: the disk is full, the folder is gone or read-only; what was there before is intact.
+        NotSavedError: the disk is full, or the folder is gone or read-only. An older file is intact.
     """
     arrays = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     metadata = {
@@ -77,7 +77,7 @@ def write_atomically(path: Path, data: bytes) -> None:
         with temporary.open("wb") as file:
             for begin in range(0, len(data), _BLOCK):
                 file.write(data[begin : begin + _BLOCK])
-                milestone("amid the temporary file")
+                milestone("inside the temporary file")
             file.flush()
             milestone("before the file's fsync")
             os.fsync(file.fileno())
@@ -91,7 +91,7 @@ def write_atomically(path: Path, data: bytes) -> None:
             temporary.unlink(missing_ok=True)
         raise NotSavedError(
             f"{path} can't be written ({error.strerror or error}): free some space, or give a folder that can be "
-            "written to. What was saved before is intact."
+            "written to. Earlier saves are intact."
         ) from error
 
 
@@ -99,7 +99,7 @@ def read(path: Path, kind: str, *versions: int) -> Stored:
     """Reads what `write` wrote, and checks every byte of it.
 
     Raises:
-        DamagedFileError: a file that is missing, damaged, cut short, of another kind or of another format.
+        DamagedFileError: a file that is missing, damaged, truncated, of another kind or of another format.
     """
     try:
         metadata = _metadata(path)
@@ -113,11 +113,11 @@ def read(path: Path, kind: str, *versions: int) -> Stored:
                 raise DamagedFileError(f"{path} is damaged: it holds other arrays than its header lists.")
             arrays = {name: file.get_tensor(name) for name in names}
     except FileNotFoundError as error:
-        raise DamagedFileError(f"There is no file {path}: give the path of one that upslope wrote.") from error
+        raise DamagedFileError(f"There is no file {path}: give the path of a file that upslope wrote.") from error
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError, OverflowError) as error:
         if isinstance(error, DamagedFileError):
             raise
-        raise DamagedFileError(f"{path} is damaged or no file of upslope's ({_in_short(error)}).") from error
+        raise DamagedFileError(f"{path} is damaged, or not a file of upslope ({_summary(error)}).") from error
     for name, array in arrays.items():
         if _checksum(array) != checksums[name]:
             raise DamagedFileError(f"{path} is damaged: {name} does not match its checksum.")
@@ -135,18 +135,19 @@ def _metadata(path: Path) -> dict[str, str]:
         size = os.fstat(file.fileno()).st_size
         length = int.from_bytes(file.read(8), "little")
         if size < 8 or length > min(size - 8, LONGEST_HEADER):
-            raise DamagedFileError(f"{path} is damaged or no file of upslope's (its header can't be that long).")
+            raise DamagedFileError(f"{path} is damaged, or not a file of upslope (its header can't be that long).")
         text = file.read(length).decode("utf-8")
     header = json.loads(text, object_pairs_hook=_without_duplicates)
     metadata = header["__metadata__"] if isinstance(header, dict) else None
     if not isinstance(metadata, dict) or not all(isinstance(value, str) for value in metadata.values()):
-        raise ValueError("its header is none of ours")
+        raise ValueError("it has another header")
     return metadata
 
 
 def _check_kind(path: Path, metadata: dict[str, str], kind: str, versions: tuple[int, ...]) -> None:
     if metadata.get("format") != kind:
-        raise DamagedFileError(f"{path} is no {kind} file, but {metadata.get('format', 'something foreign')!r:.60}.")
+        found = metadata.get("format", "unknown")
+        raise DamagedFileError(f"{path} is not an {kind} file: its format is {found!r:.60}.")
     if metadata.get("format_version") not in [str(version) for version in versions]:
         raise DamagedFileError(
             f"{path} has format {metadata.get('format_version')!r:.20}, but this upslope reads format {versions[-1]}: "
@@ -155,13 +156,13 @@ def _check_kind(path: Path, metadata: dict[str, str], kind: str, versions: tuple
 
 
 def _digest(metadata: Mapping[str, str]) -> str:
-    """Of all the metadata but the digest itself. The arrays are covered through their checksums."""
+    """The digest of all other metadata. The arrays are covered by their checksums."""
     covered = sorted((name, text) for name, text in metadata.items() if name != "digest")
     return hashlib.sha256(json.dumps(covered).encode()).hexdigest()
 
 
 def _checksum(array: np.ndarray) -> str:
-    """Of an array's type, shape and bytes."""
+    """The checksum of an array's type, shape and bytes."""
     digest = hashlib.sha256(f"{array.dtype.str}{list(array.shape)}".encode())
     digest.update(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
     return digest.hexdigest()
@@ -174,7 +175,7 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return entries
 
 
-def _in_short(error: Exception) -> str:
+def _summary(error: Exception) -> str:
     return f"{type(error).__name__}: {str(error)[:100]}"
 
 

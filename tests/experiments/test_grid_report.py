@@ -123,7 +123,7 @@ class TestBeforeTheEnd:
         (tmp_path / "figure.png").write_bytes(b"older")
 
         def pull_the_plug(name):
-            if name == "amid the temporary file":
+            if name == "inside the temporary file":
                 raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(storage, "milestone", pull_the_plug)

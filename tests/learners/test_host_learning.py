@@ -17,13 +17,15 @@ from upslope.errors import UpslopeError
 from upslope.learners.ddpg import DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.posteriors import NetworkPosterior
 from upslope.run.checkpoints import Checkpoints
-from upslope.run.engines import host as host_chunks
+from upslope.run.engines import HostEngine
 from upslope.run.loop import broadcast, run
 from upslope.run.session import Session
 
 SMALL = MetaTrainingConfig(
-    iterations=4, tasks=3, steps_per_task=20, batch_size=16, hidden=(8, 8), outer_updates=2, snapshot_every=2,
+    iterations=4, tasks=3, steps_per_task=20, posterior=NetworkPosterior(batch_size=16), hidden=(8, 8),
+    outer_updates=2, snapshot_every=2,
     evaluation_tasks=2, evaluation_episodes=1,
 )  # fmt: skip
 DQN_SMALL = DQNConfig(hidden=(8,), batch_size=8, warmup_steps=16, replay_capacity=64, evaluation_episodes=1)
@@ -122,11 +124,10 @@ def test_what_is_gathered_ahead_is_what_the_next_step_would_gather():
         np.testing.assert_array_equal(found, expected)
 
 
-def test_compiled_environments_have_no_need_of_that():
+def test_in_compiled_environments_the_newest_network_acts():
     learner = MetaTraining(upslope.cartpoles(), SMALL)
-    state = learner.init(jax.random.key(0))
-    assert state.acting is None
-    assert learner.gather_ahead(state) is None
+    after, _ = jax.jit(learner.step)(learner.init(jax.random.key(0)))
+    assert_trees_close(after.acting, after.theta)
 
 
 def test_workers_of_their_own_learn_the_same():
@@ -144,26 +145,29 @@ def test_algorithm_1_needs_discrete_actions(family):
         upslope.meta_train(family, config=SMALL)
 
 
-def test_a_potential_that_jax_can_t_trace_is_told_in_one_line():
+def test_a_potential_that_jax_can_t_trace_is_reported_in_one_line():
     with pytest.raises(UpslopeError, match=r"write it with jax\.numpy") as caught:
         upslope.train(FAMILY, FAMILY.sample(jax.random.key(0)), lambda obs: -abs(float(obs[2])), updates=1, every=1)
     assert "\n" not in str(caught.value)
 
 
 def test_shapes_are_found_without_an_environment():
-    def refuse(task):
-        raise RuntimeError("an environment was made")
+    lengths = []
 
-    family = poles()
-    family.environments._slot = refuse
-    learners = broadcast(MetaTraining(family, SMALL), (2,))
-    states, totals, report = host_chunks.shapes(learners, jax.random.split(jax.random.key(0), 2))
+    def make(length):
+        lengths.append(length)
+        return host.short_pole(length)
+
+    learners = broadcast(MetaTraining(poles(make), SMALL), (2,))
+    assert len(lengths) == 1, "the one that showed its spaces"
+    states, totals, report = HostEngine().shapes(learners, jax.random.split(jax.random.key(0), 2))
     assert states.theta.value_head.weight.shape == (2, 1, 8)
     assert totals["outer_loss"].shape == (2,)
     assert report["return"].shape == (2,)
+    assert len(lengths) == 1
 
 
-def test_a_checkpoint_goes_on_with_new_episodes_and_says_so(tmp_path):
+def test_a_resumed_run_starts_new_episodes_and_warns(tmp_path):
     learners = broadcast(DQN(FAMILY, jnp.array([1, 2], jnp.uint32), None, DQN_SMALL), (1,))
     keys = jax.random.key(0)[None]
     saving = Session(checkpoints=Checkpoints(tmp_path, every_updates=4))
@@ -171,22 +175,31 @@ def test_a_checkpoint_goes_on_with_new_episodes_and_says_so(tmp_path):
     newest = sorted((tmp_path / "checkpoints").rglob("*.safetensors"))
     newest[-1].unlink()
     resuming = Session(checkpoints=Checkpoints(tmp_path, every_updates=4, resume=True))
-    with pytest.warns(UserWarning, match="new ones are begun"):
+    with pytest.warns(UserWarning, match="new ones start"):
         resumed = run(learners, keys, updates=12, every=4, session=resuming)
     np.testing.assert_array_equal(resumed.reports["return"][0, :3], whole.reports["return"][0, :3])
     assert int(resumed.states.experience.replay.added[0]) == 16 + 12
 
 
 def test_trouble_on_the_host_is_named():
+    open_lamps = set()
+
     class NaNs(host.Lamp):
+        def reset(self, **settings):
+            open_lamps.add(self)
+            return super().reset(**settings)
+
         def step(self, action):
             obs, _, *rest = super().step(action)
             return obs, float("nan"), *rest
 
+        def close(self):
+            open_lamps.discard(self)
+
     family = GymnasiumTasks(lambda rng: 1.0, lambda task: NaNs(task, host.vectors()), 0.9, max_steps=5)
     with pytest.raises(UpslopeError, match="DQN: reward of learner 0 is not a finite number at update 1"):
         upslope.train(family, family.sample(jax.random.key(0)), updates=3, every=1, config=DQN_SMALL)
-    assert not family.environments._running, "environments are closed whatever happens"
+    assert not open_lamps, "environments are closed whatever happens"
 
 
 @pytest.mark.slow
@@ -200,5 +213,5 @@ def test_a_prior_meta_trained_on_gymnasium_s_own_environments_learns_to_balance(
 
 
 def test_a_setting_of_the_simulator_is_no_task():
-    with pytest.raises(UpslopeError, match=r"what family\.sample\(key\) gives.*sample\(rng\) returns it"):
+    with pytest.raises(UpslopeError, match=r"what family\.sample\(key\) returns.*sample\(rng\) returns it"):
         upslope.train(FAMILY, 1.0, updates=2, every=1, config=DQN_SMALL)

@@ -146,7 +146,8 @@ class TestDamage:
         refused(path, "damaged")
 
     @pytest.mark.parametrize(
-        ("metadata", "words"), [(None, "no file of upslope's"), ({"format": "pt"}, "no upslope-prior file, but 'pt'")]
+        ("metadata", "words"),
+        [(None, "not a file of upslope"), ({"format": "pt"}, "not an upslope-prior file: its format is 'pt'")],
     )
     def test_foreign(self, path, metadata, words):
         path.parent.mkdir()

@@ -22,9 +22,10 @@ from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior
 from upslope.networks.dueling import DuelingQ
 from upslope.run.checkpoints import Checkpoints, adopt
-from upslope.run.engines import compiled as chunks
+from upslope.run.engines import CompiledEngine
 from upslope.run.loop import broadcast, run
 from upslope.run.observers import EventLog
 from upslope.run.session import Session
@@ -42,7 +43,10 @@ def network():
 
 LEARNERS = {
     "Algorithm 1": MetaTraining(
-        POLES, MetaTrainingConfig(iterations=7, tasks=2, steps_per_task=8, batch_size=4, evaluation_tasks=1)
+        POLES,
+        MetaTrainingConfig(
+            iterations=7, tasks=2, steps_per_task=8, posterior=NetworkPosterior(batch_size=4), evaluation_tasks=1
+        ),
     ),
     "Algorithm 2": Adaptation(POLES, POLES.sample(jax.random.key(0)), network(), jnp.asarray(1e-3)),
     "MAML": Adaptation(POLES, POLES.sample(jax.random.key(0)), network(), jnp.asarray(1e-3), FineTuning()),
@@ -129,7 +133,7 @@ class TestResuming:
         first, memory = walk(tmp_path), Memory()
         again = walk(tmp_path, resume=True, observers=[memory])
         assert_same(again, first)
-        assert [told[1] for told in memory.told if told[0] == "record"] == [0, 2, 4, 6, 7]
+        assert [call[1] for call in memory.calls if call[0] == "record"] == [0, 2, 4, 6, 7]
 
     def test_states_that_nobody_needs_are_not_kept(self, tmp_path):
         first = walk(tmp_path, final_states=False)
@@ -149,7 +153,7 @@ class TestResuming:
         begun = walk(tmp_path, until=4, resume=True, observers=[memory])
         assert begun.flat_states is None, "those there are of a later step"
         assert begun.updates.tolist() == [0, 2, 4]
-        assert [told[1] for told in memory.told if told[0] == "record"] == [0, 2, 4]
+        assert [call[1] for call in memory.calls if call[0] == "record"] == [0, 2, 4]
         of_first = jax.tree.map(lambda leaf: leaf[:, :3], (first.reports, first.metrics))
         assert_trees_identical((begun.reports, begun.metrics), of_first)
         assert_same(walk(tmp_path, resume=True), first)
@@ -192,7 +196,7 @@ class TestAdopting:
     def test_what_is_there_is_not_learned_again(self, tmp_path, monkeypatch):
         first = walk(tmp_path / "one", final_states=False)
         adopt(["learning"], tmp_path / "one", tmp_path / "other")
-        monkeypatch.setattr(chunks, "start", lambda *_: pytest.fail("it began anew"))
+        monkeypatch.setattr(CompiledEngine, "start", lambda *_: pytest.fail("it started again"))
         again = walk(tmp_path / "other", resume=True, final_states=False)
         assert_trees_identical((again.reports, again.metrics), (first.reports, first.metrics))
         assert files(tmp_path / "one"), "nothing was moved away"
@@ -229,7 +233,7 @@ class TestWhatIsKept:
         """Every ten seconds of a clock that moves by six with every look; saving itself counts for nothing."""
         now = iter(range(0, 10_000, 6))
         monkeypatch.setattr("upslope.run.checkpoints.time.monotonic", lambda: next(now))
-        monkeypatch.setattr("upslope.run.checkpoints._DEAREST", 0)
+        monkeypatch.setattr("upslope.run.checkpoints._LEAST_PAUSE", 0)
         walk(tmp_path, every_updates=None, every_seconds=10.0, keep=100)
         assert 2 < len(files(tmp_path)) < 7
 
@@ -242,7 +246,7 @@ class TestWhatIsKept:
 
     def test_a_clock_set_back_does_not_matter(self, tmp_path, monkeypatch):
         now = iter(range(2_000_000_000, 0, -1_000_000))
-        monkeypatch.setattr("upslope.run.loop.time.time", lambda: float(next(now)))
+        monkeypatch.setattr("upslope.run.progress.time.time", lambda: float(next(now)))
         stop_at(tmp_path, 4)
         assert_same(walk(tmp_path, resume=True), walk())
 
@@ -305,7 +309,7 @@ class TestDamage:
 
     def test_a_prior_is_no_checkpoint(self, stopped, tmp_path):
         storage.write(tmp_path / "prior", "upslope-prior", 1, {}, {"a": np.zeros(1)})
-        with pytest.raises(DamagedFileError, match="is no upslope-checkpoint"):
+        with pytest.raises(DamagedFileError, match="is not an upslope-checkpoint"):
             walk(stopped, resume=tmp_path / "prior")
 
     def test_other_settings_are_refused_and_shown(self, stopped):

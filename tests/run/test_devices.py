@@ -22,29 +22,32 @@ from upslope.learners.dqn import DQN, DQNConfig
 from upslope.learners import sharing
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior, TablePosterior
 from upslope.run.loop import broadcast, run
 from upslope.tasks import cartpoles, obstacle_maps
 
-GRIDS = dict(posterior="table", inner_steps=3, inner_step_size=1.0, environments=2, hidden=(8, 8), target_decay=None)
-CONVOLUTIONS = dict(hidden=(8, 8), task_by_task=True, outer_optimiser="sgd", outer_step_size=0.05)
+GRIDS = dict(posterior=TablePosterior(inner_steps=3, inner_step_size=1.0, environments=2), hidden=(8, 8))
+ONE_BY_ONE = NetworkPosterior(batch_size=8, task_by_task=True)
+CONVOLUTIONS = dict(posterior=ONE_BY_ONE, hidden=(8, 8), outer_optimiser="sgd", outer_step_size=0.05)
 family = cartpoles(max_steps=20)
 keys = jax.random.split(jax.random.key(0), 7)
 config = MetaTrainingConfig(
-    iterations=4, tasks=2, steps_per_task=10, batch_size=8, outer_updates=2, evaluation_tasks=1, evaluation_episodes=1
+    iterations=4, tasks=2, steps_per_task=10, posterior=NetworkPosterior(batch_size=8), outer_updates=2,
+    evaluation_tasks=1, evaluation_episodes=1,
 )
 meta = run(broadcast(MetaTraining(family, config), (7,)), keys, updates=4, every=2)
 small = DQNConfig(batch_size=8, warmup_steps=8, replay_capacity=32, evaluation_episodes=1)
 tasks = family.sample_many(jax.random.key(1), 7)
 dqn = run(DQN(family, tasks, None, small), keys, updates=10, every=5)
-told = {}
+found = {}
 for name, outcome in (("meta", meta), ("dqn", dqn)):
-    told[name] = {"returns": outcome.reports["return"].tolist()}
-    told[name] |= {metric: values.tolist() for metric, values in outcome.metrics.items()}
-told["average"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(meta.states.average)]
-told["network"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(dqn.states.network)]
-told["devices"] = len(meta.flat_states.key.sharding.device_set)
-# As on other devices than cores; those share of their own accord what the last one has to do. It has no Adam, which
-# makes large steps of gradients that are nothing but rounding.
+    found[name] = {"returns": outcome.reports["return"].tolist()}
+    found[name] |= {metric: values.tolist() for metric, values in outcome.metrics.items()}
+found["average"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(meta.states.average)]
+found["network"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(dqn.states.network)]
+found["devices"] = len(meta.flat_states.key.sharding.device_set)
+# The first two share a learner's tasks as on devices that are no CPU cores; the last one always does. It has no Adam,
+# which makes large steps of gradients that are only rounding errors.
 usual, MetaTraining.most_devices = MetaTraining.most_devices, lambda self, n: sharing.most_devices(self.config.tasks, n)
 FAMILIES = {"poles": (cartpoles(max_steps=20), {}), "maps": (obstacle_maps("train"), GRIDS),
             "convolutions": (obstacle_maps("train"), CONVOLUTIONS)}
@@ -53,11 +56,11 @@ for name, (family, of_grids) in FAMILIES.items():
         MetaTraining.most_devices = usual
     shared = replace(config, tasks=4, **of_grids)
     one = run(broadcast(MetaTraining(family, shared), (1,)), keys[:1], updates=4, every=2)
-    told[name] = {"returns": one.reports["return"].tolist()}
-    told[name] |= {metric: values.tolist() for metric, values in one.metrics.items()}
-    told[name]["theta"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(one.states.theta)]
-    told[name]["devices"] = len(one.flat_states.key.sharding.device_set)
-print(json.dumps(told))
+    found[name] = {"returns": one.reports["return"].tolist()}
+    found[name] |= {metric: values.tolist() for metric, values in one.metrics.items()}
+    found[name]["theta"] = [np.asarray(leaf).ravel().tolist() for leaf in jax.tree.leaves(one.states.theta)]
+    found[name]["devices"] = len(one.flat_states.key.sharding.device_set)
+print(json.dumps(found))
 """
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from upslope.errors import UpslopeError
-from upslope.run.folder import claimed, differences
+from upslope.run.folder import claim, differences
 
 
 def claim_and_leave(folder, *args, **kwargs):
-    with claimed(folder, *args, **kwargs) as claimed_folder:
+    with claim(folder, *args, **kwargs) as claimed_folder:
         return claimed_folder
 
 
@@ -49,7 +49,7 @@ class TestClaiming:
         assert [path.name.split("-")[0] for path in (tmp_path / "runs").iterdir()] == ["figure"]
 
     def test_errors_from_inside_are_not_blamed_on_the_folder(self, tmp_path):
-        with pytest.raises(FileNotFoundError, match="elsewhere"), claimed(tmp_path, "test"):
+        with pytest.raises(FileNotFoundError, match="elsewhere"), claim(tmp_path, "test"):
             Path("/elsewhere/file").read_text()
 
 
@@ -95,7 +95,7 @@ def test_differences_are_told_by_place():
 
 class TestOneWriter:
     def test_the_second_is_told_who_holds_it(self, tmp_path):
-        with claimed(tmp_path, "test"):
+        with claim(tmp_path, "test"):
             began = time.monotonic()
             for resume in (False, True):
                 with pytest.raises(UpslopeError, match=f"in use by process {os.getpid()} on"):
@@ -112,5 +112,5 @@ class TestOneWriter:
 
 
 def _hold_and_die(folder):
-    with claimed(folder, "test"):
+    with claim(folder, "test"):
         os._exit(7)

@@ -10,10 +10,10 @@ from support.comparing import assert_trees_identical
 from support.toys import Memory, walks
 from upslope.errors import UpslopeError
 from upslope.learners.dqn import DQN
-from upslope.learners.learner import in_turn
 from upslope.priors.potentials import stack
 from upslope.run.compiling import CompileClock
-from upslope.run.engines import compiled as chunks
+from upslope.run.engines import CompiledEngine
+from upslope.run.engines.compiled import block_size
 from upslope.run.loop import broadcast, run
 from upslope.run.session import Session
 from upslope.tasks import cartpoles, obstacle_maps
@@ -53,7 +53,7 @@ class TestMarksAndShapes:
         short = walk(until=until, session=Session([memory]))
         assert short.updates.tolist() == marks
         assert short.states.steps.tolist() == [marks[-1]] * 3
-        assert memory.told[0] == ("begin", "learning", marks[-1], 3)
+        assert memory.calls[0] == ("begin", "learning", marks[-1], 3)
         of_whole = jax.tree.map(lambda leaf: leaf[:, : len(marks)], (whole.reports, whole.metrics))
         assert_trees_identical((short.reports, short.metrics), of_whole)
 
@@ -103,7 +103,7 @@ class TestBatching:
 
     def test_blocks_of_learners_leave_no_trace(self):
         """Twenty learners on each of two devices take their steps ten at a time, three all at once."""
-        assert (chunks.at_a_time(walks(0.0), 20), chunks.at_a_time(walks(0.0), 3)) == (10, 3)
+        assert (block_size(walks(0.0), 20), block_size(walks(0.0), 3)) == (10, 3)
         drifts = [float(index) for index in range(40)]
         many = walk(drifts)
         few = run(walks(drifts[17:23]), keys(40)[17:23], updates=7, every=3)
@@ -111,7 +111,7 @@ class TestBatching:
         assert_trees_identical(jax.tree.map(lambda leaf: leaf[17:23], many.reports), few.reports)
         np.testing.assert_allclose(many.states.place, 7 * np.asarray(drifts), atol=2)
 
-    def test_a_block_that_breaks_is_told_by_its_learner(self):
+    def test_a_block_that_breaks_is_reported_with_its_learner(self):
         breaks_at = jnp.where(jnp.arange(40) == 23, 5, -1)
         learners = eqx.tree_at(lambda walk: walk.breaks_at, walks([0.0] * 40), breaks_at)
         with pytest.raises(UpslopeError, match=r"learner 23 .* at update 5 \(1 of 40"):
@@ -119,18 +119,19 @@ class TestBatching:
 
     @pytest.mark.parametrize(("count", "size"), [(1, 1), (8, 8), (17, 17), (100, 10), (500, 10), (96, 16), (40, 10)])
     def test_how_many_take_their_steps_side_by_side(self, count, size):
-        assert chunks.at_a_time(walks(0.0), count) == size
+        assert block_size(walks(0.0), count) == size
 
 
 class TestDevices:
     @pytest.mark.parametrize(("learners", "on_two"), [(1, 1), (2, 2), (3, 2), (200, 2)])
     def test_a_device_that_only_padding_would_use_is_left_out(self, learners, on_two):
-        assert chunks.devices(learners) == on_two
-        assert chunks.mesh(walks(0.0), learners).devices.shape == (on_two, 1)
+        assert CompiledEngine().device_count(learners) == on_two
+        assert CompiledEngine().mesh(walks(0.0), learners).devices.shape == (on_two, 1)
 
     def test_on_more_devices_as_few_as_share_the_load_as_well(self, monkeypatch):
         monkeypatch.setattr(jax, "local_devices", lambda: list(range(4)))
-        assert [chunks.devices(learners) for learners in (1, 2, 3, 4, 5, 6, 8, 9)] == [1, 2, 3, 4, 3, 3, 4, 3]
+        counts = [CompiledEngine().device_count(learners) for learners in (1, 2, 3, 4, 5, 6, 8, 9)]
+        assert counts == [1, 2, 3, 4, 3, 3, 4, 3]
 
     def test_one_learner_is_computed_once(self):
         outcome = run(walks([1.0]), keys(1), updates=7, every=3)
@@ -142,27 +143,21 @@ class TestDevices:
 
 
 class TestTurns:
-    def test_learners_in_turn_take_the_very_steps_of_learners_side_by_side(self, monkeypatch):
+    def test_learners_in_turn_take_the_very_steps_of_learners_side_by_side(self):
         together = run(walks(DRIFTS), keys(3), updates=7, every=3)
-        monkeypatch.setattr(chunks, "in_turn", lambda learners: True)
-        jax.clear_caches()
-        alone = run(walks(DRIFTS), keys(3), updates=7, every=3)
-        jax.clear_caches()
+        alone = run(walks(DRIFTS, in_turns=True), keys(3), updates=7, every=3)
         np.testing.assert_allclose(alone.reports["return"], together.reports["return"], rtol=1e-6)
         np.testing.assert_array_equal(alone.metrics["step"], together.metrics["step"])
 
-    def test_settings_without_a_batch_axis_are_shared_by_all_in_turn_too(self, monkeypatch):
-        monkeypatch.setattr(chunks, "in_turn", lambda learners: True)
-        jax.clear_caches()
-        shared = eqx.tree_at(lambda walk: walk.drift, walks(DRIFTS), jnp.asarray(4.0))
+    def test_settings_without_a_batch_axis_are_shared_by_all_in_turn_too(self):
+        shared = eqx.tree_at(lambda walk: walk.drift, walks(DRIFTS, in_turns=True), jnp.asarray(4.0))
         np.testing.assert_allclose(run(shared, keys(3), updates=7, every=3).states.place, 28, atol=2)
-        jax.clear_caches()
 
     def test_learners_on_maps_take_turns_and_others_do_not(self):
         family, poles = obstacle_maps(), cartpoles()
         on_map = DQN(family, family.sample(jax.random.key(0)), None)
         on_pole = DQN(poles, poles.sample(jax.random.key(0)), None)
-        assert (in_turn(on_map), in_turn(on_pole), in_turn(walks(1.0))) == (True, False, False)
+        assert (on_map.takes_turns, on_pole.takes_turns) == (True, False)
 
 
 class TestDeterminism:
@@ -193,22 +188,22 @@ class TestCompiling:
 
 
 class TestObservers:
-    def test_they_are_told_of_everything_in_order(self):
+    def test_they_are_notified_of_everything_in_order(self):
         one, other = Memory(), Memory()
         outcome = walk(title="a walk", session=Session([one, other]))
-        assert one.told[0] == ("begin", "a walk", 7, 3)
-        assert [told[:2] for told in one.told[1:-1]] == [("record", mark) for mark in (0, 3, 6, 7)]
-        assert one.told[-1] == ("end",)
-        for index, (_, _, returns, metrics) in enumerate(one.told[1:-1]):
+        assert one.calls[0] == ("begin", "a walk", 7, 3)
+        assert [call[:2] for call in one.calls[1:-1]] == [("record", mark) for mark in (0, 3, 6, 7)]
+        assert one.calls[-1] == ("end",)
+        for index, (_, _, returns, metrics) in enumerate(one.calls[1:-1]):
             np.testing.assert_array_equal(returns, outcome.reports["return"][:, index])
             np.testing.assert_array_equal(metrics["step"], outcome.metrics["step"][:, index])
-        assert [told[0] for told in other.told] == [told[0] for told in one.told]
+        assert [call[0] for call in other.calls] == [call[0] for call in one.calls]
 
     def test_they_hear_of_the_end_of_a_run_that_fails(self):
         observer = Memory()
         with pytest.raises(UpslopeError):
             run(walks(DRIFTS, breaks_at=2), keys(3), updates=7, every=3, session=Session([observer]))
-        assert observer.told[-1] == ("end",), "or a progress bar stays on the terminal, and files stay open"
+        assert observer.calls[-1] == ("end",), "or a progress bar stays on the terminal, and files stay open"
 
 
 class TestDivergence:
@@ -236,5 +231,5 @@ class TestDivergence:
 def test_states_given_to_observers_are_plain_numpy():
     observer = Memory()
     walk(session=Session([observer]))
-    assert all(isinstance(told[2], np.ndarray) for told in observer.told[1:-1])
-    assert not any(isinstance(told[2], jnp.ndarray) for told in observer.told[1:-1])
+    assert all(isinstance(call[2], np.ndarray) for call in observer.calls[1:-1])
+    assert not any(isinstance(call[2], jnp.ndarray) for call in observer.calls[1:-1])

@@ -22,6 +22,15 @@ class Walk(AbstractLearner):
 
     drift: Float[Array, ""]
     breaks_at: Int[Array, ""]
+    in_turns: bool = eqx.field(static=True, default=False)
+
+    @property
+    def engine(self) -> str:
+        return "compiled"
+
+    @property
+    def takes_turns(self) -> bool:
+        return self.in_turns
 
     def init(self, key: Key) -> WalkState:
         return WalkState(key, jnp.zeros(()), jnp.zeros((), jnp.int32))
@@ -36,26 +45,26 @@ class Walk(AbstractLearner):
         return {"return": state.place, "pair": jnp.stack([state.place, -state.place])}
 
 
-def walks(drifts, breaks_at: int = -1) -> Walk:
+def walks(drifts, breaks_at: int = -1, *, in_turns: bool = False) -> Walk:
     """Walks stacked in the shape of ``drifts``."""
     drifts = jnp.asarray(drifts, jnp.float32)
-    stacked = Walk(jnp.zeros(()), jnp.zeros((), jnp.int32))
+    stacked = Walk(jnp.zeros(()), jnp.zeros((), jnp.int32), in_turns=in_turns)
     return eqx.tree_at(
         lambda walk: (walk.drift, walk.breaks_at), stacked, (drifts, jnp.full(drifts.shape, breaks_at, jnp.int32))
     )
 
 
 class Memory:
-    """An observer that remembers what it was told."""
+    """An observer that remembers its calls."""
 
     def __init__(self):
-        self.told = []
+        self.calls = []
 
     def begin(self, title, updates, learners):
-        self.told.append(("begin", title, updates, learners))
+        self.calls.append(("begin", title, updates, learners))
 
     def record(self, update, returns, metrics, *, at):
-        self.told.append(("record", update, returns, metrics))
+        self.calls.append(("record", update, returns, metrics))
 
     def end(self):
-        self.told.append(("end",))
+        self.calls.append(("end",))

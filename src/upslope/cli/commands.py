@@ -18,7 +18,7 @@ from upslope.experiments.everything import reproduce_all
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.recipes import as_printed
 from upslope.priors.prior import Prior
-from upslope.run.folder import claimed
+from upslope.run.folder import claim
 from upslope.run.session import session_in
 
 AGENTS = {"dqn": False, "ddpg": True}
@@ -99,7 +99,7 @@ class MetaTrain:
     def __call__(self) -> None:
         family = self.tasks.family(self.family, split="train")
         config = as_printed() if self.printed else self.config
-        with claimed(self.out, "prior", _settings(self), resume=self.resume) as folder:
+        with claim(self.out, "prior", _settings(self), resume=self.resume) as folder:
             session = session_in(folder, resume=self.resume)
             prior = meta_train(family, seed=self.seed, config=config, session=session)
             path = folder / "prior.safetensors"
@@ -143,7 +143,7 @@ class Train:
             prior.check(family)
         task, called = draw_task(family, self.pole, self.seed)
         _check_counts(updates=self.updates, every=self.every)
-        with claimed(self.out, self.agent, _settings(self), resume=self.resume) as folder:
+        with claim(self.out, self.agent, _settings(self), resume=self.resume) as folder:
             outcome = train(
                 family,
                 task,
@@ -193,7 +193,7 @@ class Adapt:
         prior.check(family, acting=True)
         task, called = draw_task(family, self.pole, self.seed)
         _check_counts(updates=self.updates)
-        with claimed(self.out, "adapted", _settings(self), resume=self.resume) as folder:
+        with claim(self.out, "adapted", _settings(self), resume=self.resume) as folder:
             posterior, returns = adapt(
                 prior,
                 family,

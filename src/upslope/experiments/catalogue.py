@@ -17,7 +17,7 @@ from upslope.experiments.poles.shipped_prior import SHIPPED_PRIOR
 from upslope.experiments.studies import STUDIES
 from upslope.experiments.theorems.study import THEOREMS
 from upslope.run.checkpoints import adopt
-from upslope.run.folder import claimed
+from upslope.run.folder import claim
 from upslope.run.session import session_in
 
 #: By the name that `upslope reproduce` knows: the paper's figures and theorems, then what is beside them.
@@ -72,7 +72,7 @@ def reproduce(
         raise UpslopeError(f"There is no figure {experiment!r}: choose one of {', '.join(EXPERIMENTS)} or all.")
     chosen = EXPERIMENTS[experiment]
     plan = chosen.plan(experiment, Options(is_quick, seeds, tasks, first_seed, panels, iterations, priors_of))
-    with claimed(out, experiment, plan.described(), resume=resume) as folder:
+    with claim(out, experiment, plan.described(), resume=resume) as folder:
         if priors_of is not None:
             adopt(plan.trainings, priors_of, folder)
         session = session_in(folder, resume=resume or priors_of is not None, final_states=False)

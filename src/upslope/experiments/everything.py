@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from upslope.experiments.catalogue import reproduce
-from upslope.run.folder import claimed
+from upslope.run.folder import claim
 from upslope.storage import write_atomically
 
 #: What is reproduced, and what its section of the page is called.
@@ -52,7 +52,7 @@ def reproduce_all(
     """
     console = console or Console()
     settings: dict[str, Any] = {"is_quick": is_quick, "first_seed": first_seed}
-    with claimed(out, "all", settings, resume=resume) as folder:
+    with claim(out, "all", settings, resume=resume) as folder:
         told: dict[str, tuple[str, float]] = {}
         for name, title in CHAPTERS.items():
             console.rule(title)

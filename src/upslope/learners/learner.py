@@ -20,6 +20,16 @@ class AbstractLearner(eqx.Module):
     axis and share one compiled program. Everything that changes while learning is in the state.
     """
 
+    @property
+    @abstractmethod
+    def engine(self) -> str:
+        """The name of the engine that runs it: "compiled" or "host"."""
+
+    @property
+    @abstractmethod
+    def takes_turns(self) -> bool:
+        """Whether the learners of one device take their steps of a chunk one after the other, not side by side."""
+
     @abstractmethod
     def init(self, key: Key) -> Any:
         """The state before the first step."""
@@ -59,6 +69,16 @@ class AbstractTaskLearner(AbstractLearner):
 
     family: eqx.AbstractVar[AbstractFamily]
 
+    @property
+    def engine(self) -> str:
+        return self.family.engine
+
+    @property
+    def takes_turns(self) -> bool:
+        # On CPUs the patches of convolutional learners side by side fall out of the caches, and an update costs 1.4
+        # times as much. Small networks want the opposite.
+        return torso_class(self.family.observation_shape).takes_turns and jax.default_backend() == "cpu"
+
     @abstractmethod
     def gather(self, state: Any) -> Any:
         """The experience of one step."""
@@ -78,16 +98,6 @@ class AbstractTaskLearner(AbstractLearner):
 
     def step(self, state: Any) -> tuple[Any, Metrics]:
         return self.update(state, self.gather(state))
-
-
-def in_turn(learner: AbstractLearner) -> bool:
-    """Whether the learners of a device take all their steps of a chunk one after the other, not side by side.
-
-    On CPUs convolutional ones do: side by side their patches fall out of the caches, and an update costs 1.4 times as
-    much. Small networks want the opposite.
-    """
-    on_maps = isinstance(learner, AbstractTaskLearner) and torso_class(learner.family.observation_shape).takes_turns
-    return on_maps and jax.default_backend() == "cpu"
 
 
 def vital_signs(seen: Transition) -> Metrics:

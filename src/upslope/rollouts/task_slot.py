@@ -1,4 +1,4 @@
-"""One place in a vector of environments, whose task can be changed; and environments made fit for learners here.
+"""One place in a vector of environments, whose task can change, and the spaces that learners accept.
 
 Runs in simulator processes, and needs no JAX.
 """
@@ -12,22 +12,22 @@ from gymnasium.wrappers import FlattenObservation, RescaleAction
 
 from upslope.errors import UpslopeError
 
-#: The fully connected layer behind the kernels has 4,096 weights for each pixel.
+#: The fully connected layer after the convolutions has 4,096 weights for each pixel.
 MOST_PIXELS = 64 * 64
 
-#: Images whose first axis is this short, and whose others are longer, are taken to have their channels first.
+#: Images whose first axis is at most this long, and whose others are longer, seem to have their channels first.
 _MOST_CHANNELS = 4
 
 
 class TaskSlot(gym.Env):
-    """Steps the environment of its task; a new task takes effect at the next reset.
+    """Runs the environment of its task; a new task takes effect at the next reset.
 
     Attributes:
-        task: what the factory makes the environment from.
+        task: the argument of the factory.
     """
 
     def __init__(self, make_env: Callable[[Any], gym.Env], observation_space: gym.Space, action_space: gym.Space):
-        """Takes the factory, and the spaces that all of its environments must have, as `fitted` leaves them."""
+        """Takes the factory, and the spaces that its environments must have after `fit_spaces`."""
         self.observation_space, self.action_space = observation_space, action_space
         self._make_env = make_env
         self._task: Any = None
@@ -48,10 +48,10 @@ class TaskSlot(gym.Env):
         """Starts an episode of the task.
 
         Raises:
-            UpslopeError: the factory fails, or its environment has other spaces than those before.
+            UpslopeError: the factory fails, or its environment has other spaces than earlier ones.
         """
         if self._env is None:
-            self._env = made(self._make_env, self._task)
+            self._env = make_environment(self._make_env, self._task)
             theirs = (self._env.observation_space.shape, self._env.action_space)
             if theirs != (self.observation_space.shape, self.action_space):
                 raise UpslopeError(
@@ -65,7 +65,7 @@ class TaskSlot(gym.Env):
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         assert self._env is not None
         obs, reward, terminated, truncated, _ = self._env.step(action)
-        # Infos are not passed on: nobody here reads them, and gathering them would cost more than the step.
+        # Infos are dropped: they are not needed, and gathering them would cost more than the step.
         return self._checked(obs), float(reward), bool(terminated), bool(truncated), {}
 
     def close(self) -> None:
@@ -77,13 +77,13 @@ class TaskSlot(gym.Env):
         if np.shape(obs) != self.observation_space.shape:
             raise UpslopeError(
                 f"An environment gave an observation of shape {np.shape(obs)}, but its observation space says "
-                f"{self.observation_space.shape}: mend its observation_space, or what changes the shape."
+                f"{self.observation_space.shape}: fix its observation_space, or what changes the shape."
             )
         return np.asarray(obs, np.float32)
 
 
-def made(make_env: Callable[[Any], gym.Env], task: Any) -> gym.Env:
-    """The environment of a task, made fit.
+def make_environment(make_env: Callable[[Any], gym.Env], task: Any) -> gym.Env:
+    """The environment of a task, with spaces from `fit_spaces`.
 
     Raises:
         UpslopeError: the factory fails or returns no environment, or a space is not supported.
@@ -93,35 +93,33 @@ def made(make_env: Callable[[Any], gym.Env], task: Any) -> gym.Env:
     except Exception as error:
         raise UpslopeError(
             f"make_env failed for the task {task!r} ({type(error).__name__}: {error}): it must make an environment "
-            "of every task that is sampled."
+            "for every task that is sampled."
         ) from error
     if not isinstance(env, gym.Env):
         raise UpslopeError(f"make_env returned {type(env).__name__}: return a gymnasium.Env.")
-    return fitted(env)
+    return fit_spaces(env)
 
 
-def fitted(env: gym.Env) -> gym.Env:
-    """Observations as one vector of numbers, or as an image; actions 0 to n − 1, or numbers in [−1, 1].
+def fit_spaces(env: gym.Env) -> gym.Env:
+    """Wraps an environment: observations are one vector or an image, actions 0 to n − 1 or numbers in [−1, 1].
 
     Raises:
-        UpslopeError: a space that can't be brought to that.
+        UpslopeError: a space that can't be converted.
     """
     space, actions = env.observation_space, env.action_space
     if not (isinstance(space, gym.spaces.Box) and len(space.shape) in (1, 3)):
         if not space.is_np_flattenable:
-            raise UpslopeError(
-                f"Observations of {space} can't be flattened: observe Box, Discrete, Dict or Tuple spaces."
-            )
+            raise UpslopeError(f"Observations of {space} can't be flattened: use Box, Discrete, Dict or Tuple spaces.")
         env = FlattenObservation(env)
     elif len(space.shape) == 3 and space.shape[0] <= _MOST_CHANNELS and min(space.shape[1:]) > 8:
         raise UpslopeError(
-            f"Images of shape {space.shape} seem to have their channels first: bring them last, with "
+            f"Images of shape {space.shape} seem to have their channels first: move them last, with "
             "gymnasium.wrappers.TransformObservation and numpy.moveaxis(obs, 0, -1)."
         )
     elif len(space.shape) == 3 and space.shape[0] * space.shape[1] > MOST_PIXELS:
         raise UpslopeError(
-            f"Images of {space.shape[0]} × {space.shape[1]} pixels are too large for kernels without a stride: make "
-            f"them smaller with gymnasium.wrappers.ResizeObservation, {MOST_PIXELS} pixels at most."
+            f"Images of {space.shape[0]} × {space.shape[1]} pixels are too large for convolutions without a stride: "
+            f"shrink them to at most {MOST_PIXELS} pixels with gymnasium.wrappers.ResizeObservation."
         )
     if isinstance(actions, gym.spaces.Discrete):
         return env if actions.start == 0 else gym.wrappers.TransformAction(
@@ -131,7 +129,7 @@ def fitted(env: gym.Env) -> gym.Env:
     if not (isinstance(actions, gym.spaces.Box) and one_axis and np.issubdtype(actions.dtype, np.floating)):
         raise UpslopeError(
             f"Actions of {actions} are not supported: use Discrete, or a Box of floats of one axis with finite bounds; "
-            "gymnasium.wrappers.TransformAction makes one of other spaces."
+            "gymnasium.wrappers.TransformAction converts other spaces."
         )
     ones = np.ones(actions.shape, actions.dtype)
     return RescaleAction(env, -ones, ones)

@@ -1,1 +1,1 @@
-"""The one loop, and all that knows of files, clocks and terminals."""
+"""The one loop; the only room that knows about files, clocks and terminals."""

@@ -1,4 +1,4 @@
-"""Checkpoints of runs: when they are due, how they are written, which one a resumed run goes on from."""
+"""Checkpoints of runs: when they are due, how they are written, which one a resumed run continues from."""
 
 import hashlib
 import shutil
@@ -17,26 +17,27 @@ from upslope import storage
 from upslope.errors import DamagedFileError, NotSavedError, UpslopeError
 from upslope.learners.learner import AbstractLearner
 from upslope.run.folder import differences
-from upslope.run.position import Position, from_arrays, on_host, to_arrays
+from upslope.run.health import first_not_finite
+from upslope.run.position import Position, from_arrays, to_arrays, to_numpy
 from upslope.types import Keys
 
 KIND = "upslope-checkpoint"
 FORMAT_VERSION = 1
 
-#: Of a run's time at most one part in so many goes into saving, however large the state is.
-_DEAREST = 60
+#: Time between saves as a multiple of the time that the last save took.
+_LEAST_PAUSE = 60
 
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Where a run's checkpoints go, how often, and whether it goes on from one.
+    """Where a run's checkpoints go, how often they are saved, and whether the run continues from one.
 
     Attributes:
-        folder: of the run; each title has a folder of its own under ``checkpoints`` there.
-        every_seconds: between saves; more where saving takes long, so that it costs less than two per cent.
-        every_updates: between saves, counted in steps; None leaves it to the clock.
-        keep: how many of the newest are kept.
-        resume: go on from the newest good one. A path means that very file, and fails if it is not good.
+        folder: of the run; each title has its own folder under ``checkpoints`` there.
+        every_seconds: time between saves; longer if saving takes long, so that it costs less than two per cent.
+        every_updates: steps between saves; None uses the clock.
+        keep: the number of newest checkpoints that are kept.
+        resume: continue from the newest good one. A path selects one file, and is an error if that is damaged.
         final_states: keep the learners' states when a run is over, not only its reports.
     """
 
@@ -49,17 +50,17 @@ class Checkpoints:
 
     def __post_init__(self) -> None:
         if self.keep < 1 or not self.every_seconds > 0 or (self.every_updates is not None and self.every_updates < 1):
-            raise UpslopeError("Checkpoints need at least 1 kept, and more than 0 seconds and updates between two.")
+            raise UpslopeError("Checkpoints need keep of 1 or more, and every_seconds and every_updates above 0.")
 
     def stage(self, title: str, description: dict[str, Any]) -> "Stage":
         """The checkpoints of one run, by its title.
 
         Raises:
-            NotSavedError: there can be no folder for them.
+            NotSavedError: their folder can't be made.
         """
-        folder = _of_stage(self.folder, title)
+        folder = _stage_folder(self.folder, title)
         try:
-            # Now and not when saving: a folder that vanishes later shall be missed, not made anew.
+            # Not when saving: if the folder vanishes later, that must be an error.
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise NotSavedError(f"{folder} can't be made ({error.strerror}): give another folder.") from error
@@ -82,7 +83,7 @@ class Stage:
         settings = self._settings
         if settings.every_updates is not None:
             return update - self._saved_update >= settings.every_updates
-        return time.monotonic() - self._saved_at >= max(settings.every_seconds, _DEAREST * self._cost)
+        return time.monotonic() - self._saved_at >= max(settings.every_seconds, _LEAST_PAUSE * self._cost)
 
     def save(self, position: Position, *, allow_divergence: bool = False) -> Path:
         """Writes a checkpoint, then drops the oldest beyond those kept.
@@ -93,7 +94,7 @@ class Stage:
         """
         began = time.monotonic()
         arrays = to_arrays(position)
-        bad = None if allow_divergence else _not_finite(arrays)
+        bad = None if allow_divergence else first_not_finite(arrays)
         if bad is not None:
             raise UpslopeError(
                 f"{self._description['title']}: {bad} is not finite at update {position.update}, so this state is not "
@@ -119,15 +120,15 @@ class Stage:
                     other.unlink(missing_ok=True)
 
     def load(self, skeleton: Callable[[], Position], *, allow_divergence: bool = False) -> Position | None:
-        """Where to go on from; None to start anew.
+        """The position to continue from; None to start from the beginning.
 
         Args:
-            skeleton: makes a `Position` of shapes, its reports and metrics without the axis of marks.
-            allow_divergence: numbers that are not finite are none of its business.
+            skeleton: makes a `Position` of shapes, with reports and metrics without the axis of marks.
+            allow_divergence: accept numbers that are not finite.
 
         Raises:
-            DamagedFileError: a checkpoint asked for by its path is not good.
-            UpslopeError: a checkpoint of other settings.
+            DamagedFileError: the checkpoint at the given path is damaged.
+            UpslopeError: a checkpoint of a run with other settings.
         """
         if not self._settings.resume:
             return None
@@ -137,17 +138,17 @@ class Stage:
             try:
                 return self._read(path, skeleton, allow_divergence)
             except DamagedFileError as error:
-                # Out of the way of a run that begins anew, whose first saves count as older.
+                # Out of the way of a run that starts again, whose first saves would count as older.
                 aside = path.with_suffix(".damaged")
                 with suppress(OSError):
                     path.replace(aside)
-                warnings.warn(f"{error} It is {aside.name} now; trying the one before it.", stacklevel=2)
+                warnings.warn(f"{error} It is now {aside.name}; trying the one before it.", stacklevel=2)
         return None
 
     def last_good(self) -> str:
-        """What to tell people who want to go on."""
+        """A phrase for messages that names the checkpoint to continue from."""
         files = self._files()
-        return f"the last good checkpoint is {files[0]}" if files else "there is no checkpoint of it yet"
+        return f"the last good checkpoint is {files[0]}" if files else "there is no checkpoint yet"
 
     def _files(self) -> list[Path]:
         """Newest first."""
@@ -159,10 +160,10 @@ class Stage:
         found = differences(header, self._description)
         if found:
             raise UpslopeError(
-                f"{path} is of a run with other settings ({'; '.join(found)}): "
-                "resume with the settings that it was started with, or start anew in another folder."
+                f"{path} is from a run with other settings ({'; '.join(found)}): "
+                "resume with the settings that it was started with, or start a new run in another folder."
             )
-        bad = None if allow_divergence else _not_finite(arrays)
+        bad = None if allow_divergence else first_not_finite(arrays)
         if bad is not None:
             raise DamagedFileError(f"{path} holds numbers that are not finite, in {bad}.")
         needed = skeleton()
@@ -173,23 +174,23 @@ class Stage:
 
 
 def adopt(titles: Iterable[str], source: Path, folder: Path) -> None:
-    """Copies what is kept of some runs, to be gone on from by a run that begins with the same ones.
+    """Copies the checkpoints of some runs, for a run that starts with the same ones and continues from there.
 
     Args:
         titles: of the runs.
-        source: the folder they ran in.
-        folder: of the run that goes on from them.
+        source: the folder that they ran in.
+        folder: of the run that continues from them.
 
     Raises:
-        UpslopeError: one of them has left nothing there.
+        UpslopeError: one of them has no checkpoint there.
         NotSavedError: they can't be copied.
     """
     for title in titles:
-        there, here = _of_stage(source, title), _of_stage(folder, title)
+        there, here = _stage_folder(source, title), _stage_folder(folder, title)
         if not any(there.glob("*.safetensors")):
             raise UpslopeError(
                 f"{source} holds no training called {title!r}: give the folder of the figure that these priors were "
-                "trained for (that of fig2 for fig3, of fig4 for fig5), or leave it out to train them anew."
+                "trained for (that of fig2 for fig3, of fig4 for fig5), or leave it out to train them again."
             )
         try:
             shutil.copytree(there, here, dirs_exist_ok=True)
@@ -199,16 +200,16 @@ def adopt(titles: Iterable[str], source: Path, folder: Path) -> None:
             ) from error
 
 
-def _of_stage(folder: Path, title: str) -> Path:
+def _stage_folder(folder: Path, title: str) -> Path:
     return folder / "checkpoints" / "".join(letter if letter.isalnum() else "_" for letter in title)
 
 
 def describe(learners: AbstractLearner, keys: Keys, updates: int, every: int) -> dict[str, Any]:
-    """What a checkpoint must agree with: the learners' kind, settings and inputs, and how long they run."""
+    """What a checkpoint must match: the learners' class, settings and inputs, and how long they run."""
     config = getattr(learners, "config", None)
     inputs = hashlib.sha256()
     for leaf in jax.tree.leaves((learners, keys)):
-        inputs.update(np.ascontiguousarray(on_host(leaf)).tobytes())
+        inputs.update(np.ascontiguousarray(to_numpy(leaf)).tobytes())
     return {
         "learner": type(learners).__name__,
         "learners": int(np.prod(keys.shape)),
@@ -220,13 +221,7 @@ def describe(learners: AbstractLearner, keys: Keys, updates: int, every: int) ->
 
 
 def _as_json(value: Any) -> Any:
-    """Tuples as lists, so that it compares with what comes back from a file."""
+    """Tuples as lists, so that it compares with the content of a file."""
     if isinstance(value, dict):
         return {name: _as_json(entry) for name, entry in value.items()}
     return [_as_json(entry) for entry in value] if isinstance(value, list | tuple) else value
-
-
-def _not_finite(arrays: dict[str, np.ndarray]) -> str | None:
-    """The name of the first array with such numbers."""
-    floats = ((name, array) for name, array in arrays.items() if np.issubdtype(array.dtype, np.floating))
-    return next((name for name, array in floats if not np.isfinite(array).all()), None)

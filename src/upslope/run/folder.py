@@ -1,4 +1,4 @@
-"""Folders of runs: one writer each, claimed before anything is written, never overwritten."""
+"""Folders of runs: one writer each, locked before anything is written, never overwritten."""
 
 import fcntl
 import itertools
@@ -21,30 +21,32 @@ _DESCRIPTION = "run.json"
 
 
 @contextmanager
-def claimed(
+def claim(
     folder: Path | None, kind: str, configuration: Mapping[str, Any] | None = None, *, resume: bool = False
 ) -> Iterator[Path]:
-    """A folder for a run, with nobody else writing to it.
+    """Claims a folder for a run: inside the ``with`` block no other process can claim it.
 
-    The lock is the kernel's: it goes with the process, however that ends.
+    The kernel releases the lock when the process ends, in whatever way.
 
     Args:
-        folder: where to; ``runs/<kind>-<date>-<time>`` if None.
-        kind: what kind of run it is.
-        configuration: what decides the run's results; kept in the folder, and compared on resuming.
-        resume: go on with the run that is there.
+        folder: the folder; ``runs/<kind>-<date>-<time>`` if None.
+        kind: the kind of run.
+        configuration: everything that determines the run's results; saved in the folder, and compared when resuming.
+        resume: continue the run that is there.
 
     Raises:
-        UpslopeError: the folder holds something already, is in use by another process or can't be made; or, to be
-            resumed, it holds no run, or one of another configuration.
+        UpslopeError: the folder is not empty, is in use by another process or can't be made; or there is no run to
+            resume, or one with another configuration.
     """
     if resume and folder is None:
-        raise UpslopeError("Nothing says which run to resume: give its folder with --out.")
+        raise UpslopeError("--resume needs to know which run: give its folder with --out.")
     chosen = folder or Path("runs") / f"{kind}-{datetime.now():%Y%m%d-%H%M%S}"
-    description = _described(kind, configuration or {})
+    description = _describe(kind, configuration or {})
     try:
         if resume and not (chosen / _DESCRIPTION).is_file():
-            raise UpslopeError(f"There is no run in {chosen}: give the folder of one, or start anew without --resume.")
+            raise UpslopeError(
+                f"There is no run in {chosen}: give the folder of one, or start a new run without --resume."
+            )
         if not resume:
             _check_empty(chosen)
             chosen.mkdir(parents=True, exist_ok=True)
@@ -59,7 +61,7 @@ def claimed(
         if error.filename is not None and not str(error.filename).startswith(str(chosen)):
             raise
         raise UpslopeError(
-            f"{chosen} can't be used as a folder ({error.strerror}): give another with --out."
+            f"{chosen} can't be used as a folder ({error.strerror}): give another one with --out."
         ) from error
 
 
@@ -83,7 +85,7 @@ def _holder(lock: IO[str]) -> str:
         lock.seek(0)
         if name := lock.read(200).strip():
             return name
-        time.sleep(0.025)  # it is written a moment after the lock is taken
+        time.sleep(0.025)  # the name is written a moment after the lock is taken
     return "another process"
 
 
@@ -93,13 +95,13 @@ def _check_empty(folder: Path) -> None:
             with _locked(folder):
                 pass
         raise UpslopeError(
-            f"{folder} already holds something, and nothing is overwritten: give another folder with --out, "
-            "move that one away, or, if it holds a run that was stopped, go on with it by --resume."
+            f"{folder} is not empty, and nothing is overwritten: give another folder with --out, move this one away, "
+            "or, if it holds a run that was stopped, continue it with --resume."
         )
 
 
-def _described(kind: str, configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """As it looks after a round trip through JSON, so that it compares."""
+def _describe(kind: str, configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of ``run.json``, after a round trip through JSON, so that it compares."""
     return json.loads(json.dumps({"kind": kind, "version": version("upslope"), "configuration": configuration}))
 
 
@@ -107,17 +109,19 @@ def _check_same(folder: Path, description: dict[str, Any]) -> None:
     try:
         there = json.loads((folder / _DESCRIPTION).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise UpslopeError(f"{folder / _DESCRIPTION} can't be read ({error}): start anew in another folder.") from error
+        raise UpslopeError(
+            f"{folder / _DESCRIPTION} can't be read ({error}): start a new run in another folder."
+        ) from error
     found = differences(there, description)
     if found:
         raise UpslopeError(
-            f"{folder} holds another run than the one to be resumed ({'; '.join(found)}): "
-            "give the settings it was started with, or another folder with --out."
+            f"{folder} holds a run with other settings ({'; '.join(found)}): "
+            "give the settings that it was started with, or another folder with --out."
         )
 
 
 def differences(there: Any, here: Any, name: str = "") -> list[str]:
-    """What differs between two JSON values, one phrase for each place."""
+    """The differences between two JSON values, one phrase for each place."""
     if isinstance(there, dict) and isinstance(here, dict):
         keys = sorted(there.keys() | here.keys())
         return [

@@ -1,14 +1,18 @@
-"""Numbers that are not finite, caught at the step where they start, with the likely cause and the mend."""
+"""Numbers that are not finite, found at the step where they start, with the likely cause and the fix."""
 
 from collections.abc import Callable
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool
 
 from upslope.errors import UpslopeError
+from upslope.types import Metrics
 
-#: Words in a metric's name, in the order in which trouble spreads; and the mend.
-_MENDS = (
+#: Words in a metric's name, in the order in which trouble spreads, and the fix.
+_FIXES = (
     ("observation", "check what the environment shows there, and the task's parameters."),
     ("reward", "check the rewards of the environment and the potential."),
     ("loss", "lower the step size, or check the size of the rewards and of the potential."),
@@ -17,20 +21,25 @@ _MENDS = (
 )
 
 
+def all_finite(metrics: Metrics) -> Bool[Array, ""]:
+    """Whether all metrics of a step are finite; part of the compiled programs."""
+    return jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(metrics)]).all()
+
+
 def check_finite(
-    title: str, update: int, broken: np.ndarray, totals: dict[str, Any], known_good: Callable[[], str]
+    title: str, update: int, broken: np.ndarray, totals: dict[str, Any], last_good: Callable[[], str]
 ) -> None:
-    """Looks at what a chunk of steps left behind.
+    """Checks the metrics of a chunk of steps.
 
     Args:
         title: of the run.
         update: steps taken before the chunk.
-        broken: of each learner the first step of the chunk with a metric that is not finite; 0 for none.
+        broken: for each learner the first step of the chunk with a metric that is not finite; 0 if there is none.
         totals: sums of the metrics ``[learners, ...]``; a second axis is that of tasks.
-        known_good: tells what there is to go back to; asked in trouble only.
+        last_good: names the checkpoint to go back to; only called if a metric is not finite.
 
     Raises:
-        UpslopeError: with phase, learner, task and step.
+        UpslopeError: a metric is not finite. Names the run, the learner, the task and the step.
     """
     if not broken.any():
         return
@@ -40,9 +49,15 @@ def check_finite(
     task = f", task {int(np.flatnonzero(bad[name])[0])}" if bad[name].ndim else ""
     raise UpslopeError(
         f"{title}: {name} of learner {learner}{task} is not a finite number at update {update + broken[learner]} "
-        f"({np.count_nonzero(broken)} of {broken.size} learners in trouble): {_MENDS[_phase(name)][1]}{known_good()}"
+        f"({np.count_nonzero(broken)} of {broken.size} learners are affected): {_FIXES[_phase(name)][1]}{last_good()}"
     )
 
 
+def first_not_finite(arrays: dict[str, np.ndarray]) -> str | None:
+    """The name of the first array that holds numbers that are not finite; None if all are."""
+    floats = ((name, array) for name, array in arrays.items() if np.issubdtype(array.dtype, np.floating))
+    return next((name for name, array in floats if not np.isfinite(array).all()), None)
+
+
 def _phase(name: str) -> int:
-    return next(index for index, (word, _) in enumerate(_MENDS) if word in name)
+    return next(index for index, (word, _) in enumerate(_FIXES) if word in name)

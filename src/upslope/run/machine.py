@@ -1,4 +1,4 @@
-"""What a result was produced with: versions and hardware, for results.json."""
+"""The versions and the hardware behind a result, for results.json."""
 
 import os
 import platform
@@ -15,7 +15,7 @@ def versions() -> dict[str, str]:
 
 
 def hardware() -> dict[str, object]:
-    """The machine, without its name."""
+    """The machine's properties, without its name."""
     return {
         "system": platform.system(),
         "architecture": platform.machine(),

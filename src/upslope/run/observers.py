@@ -1,4 +1,4 @@
-"""What people see of a run: a progress bar, TensorBoard event files, a JSON-lines file."""
+"""Observers of a run: a progress bar, TensorBoard event files, a JSON-lines file."""
 
 import json
 import shutil
@@ -18,15 +18,15 @@ from upslope.errors import NotSavedError
 
 @runtime_checkable
 class Observer(Protocol):
-    """Is told of the start of a run, of every report and of the end."""
+    """Is notified of the start of a run, of every report and of the end."""
 
     def begin(self, title: str, updates: int, learners: int) -> None: ...
 
     def record(self, update: int, returns: np.ndarray, metrics: dict[str, np.ndarray], *, at: float) -> None:
         """After ``update`` steps: the raw return of each learner ``[learners]``, metrics likewise.
 
-        A resumed run tells again what was told before it stopped: what is kept is written anew from the beginning,
-        so it has neither gaps nor duplicates.
+        A resumed run repeats all reports from before it stopped. Observers that write files write them from the
+        beginning, so that they have neither gaps nor duplicates.
 
         Args:
             update: steps taken.
@@ -108,7 +108,7 @@ class EventLog:
                 self._events.add_scalar(name, float(value), update, walltime=at)
 
     def end(self) -> None:
-        with suppress(OSError):  # everything that matters is on the disk already
+        with suppress(OSError):  # all records are on the disk already
             self._events.close()
             self._lines.close()
 

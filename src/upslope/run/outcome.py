@@ -1,4 +1,4 @@
-"""What a run leaves behind."""
+"""The result of a run."""
 
 import math
 from typing import Any, NamedTuple
@@ -8,20 +8,20 @@ import numpy as np
 
 
 class Outcome(NamedTuple):
-    """What a run leaves behind.
+    """The result of a run.
 
     Attributes:
-        flat_states: of all learners at the end, their batch axes flattened; None where a finished run was resumed whose
-            states were not kept.
+        flat_states: final states of all learners, with one batch axis; None if a finished run was resumed whose states
+            were not kept.
         batch: the batch axes.
         updates: steps taken at each report ``[reports]``.
-        seconds: of running up to each report ``[reports]``, compiling included; while a run is stopped none pass.
-        reports: what the learners reported, by name ``[*batch, reports, ...]``.
+        seconds: running time up to each report ``[reports]``, with compiling, without the time that a run was stopped.
+        reports: the learners' reports, by name ``[*batch, reports, ...]``.
         metrics: means of the learners' metrics between reports, by name ``[*batch, reports, ...]``; zeros before the
             first step.
-        seconds_compiling: spent on tracing and compiling.
-        seconds_running: all the rest.
-        programs: how many were compiled.
+        seconds_compiling: time spent on tracing and compiling.
+        seconds_running: all other time.
+        programs: the number of programs compiled.
     """
 
     flat_states: Any
@@ -36,6 +36,6 @@ class Outcome(NamedTuple):
 
     @property
     def states(self) -> Any:
-        """Of all learners at the end ``[*batch, ...]``; gathered from the devices when asked for."""
+        """Final states of all learners ``[*batch, ...]``, gathered from the devices at each access."""
         count = math.prod(self.batch)
         return jax.tree.map(lambda leaf: leaf[:count].reshape(*self.batch, *leaf.shape[1:]), self.flat_states)

@@ -1,4 +1,4 @@
-"""How far a run has come, and that as named arrays: all it needs to go on as if it had never stopped."""
+"""The position of a run, as a PyTree and as named arrays: everything it needs to continue as if never stopped."""
 
 from typing import Any, NamedTuple
 
@@ -6,21 +6,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from upslope.run.randomness import unrolled
+from upslope.run.randomness import unroll
 
 
 class Position(NamedTuple):
-    """How far a run has come.
+    """The position of a run.
 
     Attributes:
-        states: of all learners ``[learners, ...]``; None once a run is over whose states nobody needs.
+        states: of all learners ``[learners, ...]``; None after a run whose states are not kept.
         totals: sums of the metrics since the last mark ``[learners, ...]``; None like the states.
         update: steps taken.
         reports: at each mark reached ``[learners, marks, ...]``.
         metrics: means up to each mark ``[learners, marks, ...]``.
         times: when each mark was reached, in seconds of the Unix clock ``[marks]``.
-        seconds: of running up to each mark ``[marks]``; the time between a stop and going on is none.
-        elapsed: of running up to now.
+        seconds: running time up to each mark ``[marks]``, without the time that the run was stopped.
+        elapsed: running time so far.
     """
 
     states: Any
@@ -34,20 +34,20 @@ class Position(NamedTuple):
 
 
 def to_arrays(position: Position) -> dict[str, np.ndarray]:
-    """All arrays of a position by name; keys as their words."""
-    return {name: on_host(leaf) for name, leaf in _named(_tree(position))}
+    """All arrays of a position by name; random keys as their words."""
+    return {name: to_numpy(leaf) for name, leaf in _by_name(_tree(position))}
 
 
 def from_arrays(update: int, arrays: dict[str, np.ndarray], skeleton: Position) -> Position:
-    """Arrays from a file, in the shape of a run.
+    """A position from the arrays of a file.
 
     Args:
         update: steps taken.
-        arrays: from `to_arrays`; files of old have no ``seconds``, and count the time of stops as running.
+        arrays: from `to_arrays`; older files have no ``seconds``, and count stops as running time.
         skeleton: the shapes that the run needs, its reports and metrics without the axis of marks.
 
     Raises:
-        ValueError: arrays that the run has not, or of other shapes or types.
+        ValueError: other arrays than the run has, or other shapes or types.
     """
     marks = len(arrays["times"])
     if "seconds" not in arrays:
@@ -68,15 +68,15 @@ def from_arrays(update: int, arrays: dict[str, np.ndarray], skeleton: Position) 
             elapsed=np.zeros(()),
         )
     )
-    named = _named(tree)
+    named = _by_name(tree)
     if sorted(name for name, _ in named) != sorted(arrays):
         raise ValueError("other arrays than the learners have")
-    leaves = [_restored(name, arrays[name], leaf) for name, leaf in named]
+    leaves = [_restore(name, arrays[name], leaf) for name, leaf in named]
     return Position(update=update, **jax.tree.unflatten(jax.tree.structure(tree), leaves))
 
 
-def on_host(leaf: Any) -> np.ndarray:
-    """A leaf as a NumPy array; of a key its words."""
+def to_numpy(leaf: Any) -> np.ndarray:
+    """A leaf as a NumPy array; a random key as its words."""
     return np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
 
 
@@ -86,7 +86,7 @@ def _tree(position: Position) -> dict[str, Any]:
     return entries
 
 
-def _named(tree: Any) -> list[tuple[str, Any]]:
+def _by_name(tree: Any) -> list[tuple[str, Any]]:
     leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
     return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in leaves]
 
@@ -95,9 +95,9 @@ def _is_key(leaf: Any) -> bool:
     return hasattr(leaf, "dtype") and jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def _restored(name: str, array: np.ndarray, leaf: Any) -> Any:
+def _restore(name: str, array: np.ndarray, leaf: Any) -> Any:
     if _is_key(leaf):
-        restored = unrolled(jax.random.wrap_key_data(jnp.asarray(array)))
+        restored = unroll(jax.random.wrap_key_data(jnp.asarray(array)))
         if restored.shape != leaf.shape or restored.dtype != leaf.dtype:
             raise ValueError(f"{name} holds keys of another shape or generator")
         return restored

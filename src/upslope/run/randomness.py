@@ -1,8 +1,8 @@
 """JAX's own random numbers, bit for bit, from a generator that CPUs run faster inside loops.
 
-On CPUs JAX writes Threefry as a loop of five small kernels' worth of rounds, to compile quickly. A learner draws a
-handful of numbers several times in each of many thousand steps, so there the loop costs more than the arithmetic.
-Written out, the twenty rounds fuse into one kernel: a fifth to a third of a CartPole run, for no more compile time.
+On CPUs JAX writes Threefry as a loop of rounds, which compiles quickly. A learner draws a few numbers several times in
+each of many thousand steps, so the loop costs more than the arithmetic. Unrolled, the twenty rounds fuse into one
+kernel: this saves a fifth to a third of a CartPole run, and compiling takes no longer.
 """
 
 import functools
@@ -22,18 +22,18 @@ _PARITY = np.uint32(0x1BD11BDA)
 Words = UInt32[Array, "..."]
 
 
-def unrolled(keys: Keys) -> Keys:
-    """The same keys, drawing the same numbers, for programs that loop.
+def unroll(keys: Keys) -> Keys:
+    """The same keys, which draw the same numbers, but faster inside loops.
 
     Args:
-        keys: of any shape. Keys of another generator than Threefry are left as they are.
+        keys: of any shape; keys of another generator than Threefry are returned unchanged.
     """
     if jax.random.key_impl(keys) != "threefry2x32":
         return keys
     return jax.random.wrap_key_data(jax.random.key_data(keys), impl=_IMPLEMENTATION)
 
 
-# One program where nothing else compiles it, instead of a hundred small ones.
+# Outside of programs this is one program instead of a hundred small ones.
 @functools.partial(jax.jit, inline=True)
 def _threefry(key: UInt32[Array, "2"], high: Words, low: Words) -> tuple[Words, Words]:
     """Threefry-2x32 with twenty rounds (Salmon et al., 2011) of the 64-bit counts ``high``, ``low``."""
@@ -49,7 +49,7 @@ def _threefry(key: UInt32[Array, "2"], high: Words, low: Words) -> tuple[Words, 
 
 
 def _of_counts(key: UInt32[Array, "2"], shape: tuple[int, ...]) -> tuple[Words, Words]:
-    """Both words for each place of an array."""
+    """The two words for each place of an array."""
     # Arrays here stay far below 2³² places, so the high word of a place's number is zero.
     places = jnp.arange(int(np.prod(shape)), dtype=jnp.uint32).reshape(shape)
     return _threefry(key, jnp.zeros_like(places), places)

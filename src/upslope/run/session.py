@@ -1,12 +1,12 @@
-"""What surrounds a run: who watches it, and where it is kept."""
+"""What surrounds a run: its observers, its checkpoints, its compiler in the background."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from upslope.run.ahead import Ahead
 from upslope.run.checkpoints import Checkpoints
+from upslope.run.compiling import Ahead
 from upslope.run.observers import EventLog, Observer, ProgressBar
 
 
@@ -19,10 +19,10 @@ class Session:
     """Observers and checkpoints, the same for all runs of a command.
 
     Attributes:
-        observers: told of the start, of every report and of the end.
-        checkpoints: None keeps nothing.
-        ahead: where programs are compiled in the background; None for those that compile when they are needed.
-        show: is given what an experiment of several runs has come to so far, whenever there is more to be seen.
+        observers: notified of the start, every report and the end.
+        checkpoints: where they go; None saves none.
+        ahead: compiles programs in the background; None compiles each when it is needed.
+        show: called with the results of an experiment of several runs whenever there are new ones.
     """
 
     observers: Sequence[Observer] = ()
@@ -32,12 +32,12 @@ class Session:
 
 
 def session_in(folder: Path, *, resume: bool = False, final_states: bool = True) -> Session:
-    """What every command does in its folder: a progress bar, logs, checkpoints.
+    """The session of a command: a progress bar, and logs and checkpoints in a folder.
 
     Args:
         folder: of the run.
-        resume: go on from the newest good checkpoints there.
-        final_states: keep the learners' states when a run is over; a figure needs their reports only.
+        resume: continue from the newest good checkpoints there.
+        final_states: keep the learners' states when a run is over; a figure only needs their reports.
     """
     return Session(
         (ProgressBar(), EventLog(folder / "logs")), Checkpoints(folder, resume=resume, final_states=final_states)

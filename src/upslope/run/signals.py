@@ -1,8 +1,8 @@
-"""SIGTERM and SIGINT: honoured within seconds in every phase, even while a program compiles.
+"""SIGTERM and SIGINT stop a run within seconds in every phase, even while a program compiles.
 
 Python runs its signal handlers between two steps of the interpreter, and compiling or a long chunk is one step of
-many seconds. So a watcher thread, woken by the C-level handler, ends the process if the polite way takes too long.
-That loses nothing: a run always resumes from its last checkpoint.
+many seconds. So a watcher thread, woken by the C-level handler, ends the process if a clean stop takes too long.
+That loses nothing that is saved: a run always resumes from its last checkpoint.
 """
 
 import os
@@ -17,17 +17,17 @@ from types import FrameType
 
 from upslope.errors import InterruptedRunError
 
-#: Seconds from a signal to the hard end of the process, if the run could not be stopped politely by then.
+#: Seconds from a signal until the process is ended, if the run has not stopped by then.
 GRACE = 7.0
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 class StopRequest:
-    """Whether somebody asked this process to stop.
+    """A request to stop this process.
 
     Attributes:
-        signal: the number of the signal that asked; None as long as nobody did.
+        signal: the number of the signal that arrived; None before that.
     """
 
     def __init__(self) -> None:
@@ -35,8 +35,8 @@ class StopRequest:
         self._deferred = False
 
     @contextmanager
-    def deferred(self) -> Iterator[None]:
-        """Inside, a signal is only noted: whoever is inside looks at `signal` and stops at a good place."""
+    def defer(self) -> Iterator[None]:
+        """Inside the ``with`` block a signal only sets `signal`; the code inside checks it and stops where it can."""
         outer, self._deferred = self._deferred, True
         try:
             yield
@@ -51,14 +51,14 @@ class StopRequest:
             self.stop("Stopped")
 
     def stop(self, what: str) -> None:
-        """Raises what a signal leads to.
+        """Stops the process with an error.
 
         Raises:
             InterruptedRunError: always.
         """
         number = self.signal or signal.SIGINT
         name = signal.Signals(number).name
-        raise InterruptedRunError(f"{what} by {name}. The same command with --resume goes on from there.", number)
+        raise InterruptedRunError(f"{what} by {name}. The same command with --resume continues from there.", number)
 
 
 _current: StopRequest | None = None
@@ -66,7 +66,7 @@ _current: StopRequest | None = None
 
 @contextmanager
 def stop_requests() -> Iterator[StopRequest]:
-    """Listens for SIGTERM and SIGINT, and puts the handlers that were there before back at the end.
+    """Listens for SIGTERM and SIGINT, and restores the previous handlers at the end.
 
     A second signal ends the process at once. Inside another such context, or outside the main thread, nothing changes.
     """
@@ -95,24 +95,24 @@ def stop_requests() -> Iterator[StopRequest]:
 
 
 def _watch(wakes: socket.socket) -> None:
-    """Ends the process when a stop takes too long, or on a second signal. A zero byte ends the watch."""
-    asked: int | None = None
+    """Ends the process when a stop takes too long, or at a second signal. A zero byte ends the watch."""
+    pending: int | None = None
     while True:
-        ready, _, _ = select.select([wakes], [], [], GRACE if asked else None)
+        ready, _, _ = select.select([wakes], [], [], GRACE if pending else None)
         for number in wakes.recv(64) if ready else b"":
             if number == 0:
                 return
             if number in _SIGNALS:
-                if asked:
+                if pending:
                     _end(number, "Stopped at once")
-                asked = number
-        if asked and not ready:
-            _end(asked, "Stopped")
+                pending = number
+        if pending and not ready:
+            _end(pending, "Stopped")
 
 
 def _end(number: int, how: str) -> None:
     """Ends the process without waiting for anything; the kernel releases its locks."""
     show_cursor = "\x1b[?25h" if sys.stderr.isatty() else ""
-    text = f"{show_cursor}\n{how} by {signal.Signals(number).name}. The same command with --resume goes on from the "
+    text = f"{show_cursor}\n{how} by {signal.Signals(number).name}. The same command with --resume continues from the "
     os.write(2, f"{text}last checkpoint.\n".encode())
     os._exit(128 + number)

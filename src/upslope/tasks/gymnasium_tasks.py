@@ -11,19 +11,19 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from upslope.errors import UpslopeError
-from upslope.rollouts.host_environments import Episodes, HostEnvironments, Mode
-from upslope.rollouts.task_slot import made
-from upslope.tasks.abstract_evaluation import evaluated_abstractly
+from upslope.rollouts import ROLLOUTS, AbstractRollouts, Trajectories
+from upslope.rollouts.task_slot import make_environment
+from upslope.tasks.abstract_evaluation import under_abstract_evaluation
 from upslope.tasks.actions import Actions, ContinuousActions, DiscreteActions
 from upslope.tasks.family import AbstractFamily, Network, recipe_of
-from upslope.tasks.host_acting import acting, reset_and_act, seed_of
+from upslope.tasks.host_policy import host_policy, reset_and_act_keys, seed_of
 from upslope.tasks.observation_scale import scale_of
-from upslope.tasks.task_protocol import of_protocol
-from upslope.types import Acting, Key, Policy, Task, Transition
+from upslope.tasks.task_protocol import sampler_and_factory
+from upslope.types import Key, Policy, Task, Transition
 
 
 class RunningHost(eqx.Module):
-    """Host environments in the middle of their episodes, by the number that the family knows them by."""
+    """Host environments in the middle of their episodes, by the number of their group in the family's rollouts."""
 
     number: Int[Array, ""]
 
@@ -31,17 +31,17 @@ class RunningHost(eqx.Module):
 class GymnasiumTasks(AbstractFamily):
     """A family over Gymnasium environments, for the same learners as compiled families.
 
-    Inside, a task is the two words of the random key that it was drawn with: tasks stack, repeat and are saved like
-    those of any family, and the sampler is asked again whenever an environment is needed. So it must give the same
-    task for the same ``rng``.
+    Inside, a task is the two words of the random key that it was drawn with. So tasks can be stacked, repeated and
+    saved like those of any family. The sampler is called again whenever an environment is needed, and must return the
+    same task for the same ``rng``.
 
     Box observations of three axes are images ``[height, width, channels]``, and get a convolutional network; all
     others of Box, Discrete, Dict or Tuple spaces become one vector of numbers. Actions are Discrete, or a Box of one
-    axis with finite bounds, brought to [−1, 1].
+    axis with finite bounds, scaled to [−1, 1].
 
     Attributes:
         sample_task: draws one task with a NumPy generator.
-        environments: made so far; `close` closes them.
+        rollouts: runs policies in the environments; `close` closes them.
     """
 
     engine: ClassVar[Literal["compiled", "host"]] = "host"
@@ -54,7 +54,7 @@ class GymnasiumTasks(AbstractFamily):
     max_steps: int = eqx.field(static=True)
     recipe: str = eqx.field(static=True)
     sample_task: Callable[[np.random.Generator], Any] = eqx.field(static=True)
-    environments: HostEnvironments = eqx.field(static=True)
+    rollouts: AbstractRollouts = eqx.field(static=True)
 
     def __init__(
         self,
@@ -65,41 +65,42 @@ class GymnasiumTasks(AbstractFamily):
         name: str | None = None,
         observation_scale: Sequence[float] | None = None,
         max_steps: int | None = None,
-        mode: Mode = "sync",
+        mode: str = "sync",
     ):
-        """Makes the family, after one environment was made to see its spaces.
+        """Makes the family, and one environment to read its spaces.
 
         Args:
-            sample: ``sample(rng) -> task``; anything that ``make_env`` understands.
+            sample: ``sample(rng) -> task``; any value that ``make_env`` accepts.
             make_env: ``make_env(task) -> gymnasium.Env``.
             gamma: γ, of every task and of every potential learned here.
             name: of the state space; the environment's id by default.
-            observation_scale: brings each observation to the order of one; by default from the bounds of the space,
-                where they are finite and small. Of images, one for each channel.
+            observation_scale: factors that scale observations to the order of one; by default from the bounds of the
+                space where they are finite and small. For images, one for each channel.
             max_steps: the longest episode; the environment's own limit by default.
-            mode: "sync" runs the environments in this process, "async" each in a process of its own (a script then
-                needs ``if __name__ == "__main__":``).
+            mode: a name in `upslope.rollouts.ROLLOUTS`: "sync" runs the environments in this process, "async" each in
+                its own process (a script then needs ``if __name__ == "__main__":``).
 
         Raises:
-            UpslopeError: no discount, a sampler or factory that fails, an unsupported space, or no limit of steps.
+            UpslopeError: gamma is not a discount, the mode is unknown, the sampler or factory fails, a space is not
+                supported, or there is no limit of steps.
         """
         if not (isinstance(gamma, int | float) and 0 < gamma <= 1):
             raise UpslopeError(f"gamma is {gamma!r}, but a discount lies in (0, 1]: give one such as 0.98.")
-        if mode not in ("sync", "async"):
-            raise UpslopeError(f'mode is {mode!r}: give "sync" or "async".')
+        if mode not in ROLLOUTS:
+            raise UpslopeError(f"mode is {mode!r}: give {' or '.join(map(repr, ROLLOUTS))}.")
         self.sample_task, self.gamma = sample, float(gamma)
-        env = made(make_env, _drawn(sample, np.zeros(2, np.uint32)))
+        env = make_environment(make_env, _draw(sample, np.zeros(2, np.uint32)))
         space: Any = env.observation_space
         actions: Any = env.action_space
         self.name = name or (env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
-        self.actions = _kind(actions)
+        self.actions = _actions_of(actions)
         self.observation_shape = tuple(space.shape)
         self.recipe = recipe_of(self.observation_shape)
         self.observation_scale = scale_of(space.low, space.high, observation_scale)
         self.max_steps = _limit(env, max_steps)
         env.close()
         float32 = gym.spaces.Box(-np.inf, np.inf, self.observation_shape, np.float32)
-        self.environments = HostEnvironments(make_env, (float32, actions), mode)
+        self.rollouts = ROLLOUTS[mode](make_env, float32, actions)
 
     @classmethod
     def from_protocol(cls, make_env: Callable[[], Any], gamma: float, **settings: Any) -> "GymnasiumTasks":
@@ -113,7 +114,7 @@ class GymnasiumTasks(AbstractFamily):
         Raises:
             UpslopeError: the environment has no such methods, or draws other tasks for the same seed.
         """
-        return cls(*of_protocol(make_env), gamma, **settings)
+        return cls(*sampler_and_factory(make_env), gamma, **settings)
 
     @property
     def lists_states(self) -> bool:
@@ -131,111 +132,93 @@ class GymnasiumTasks(AbstractFamily):
         return jax.random.key_data(key)
 
     def task_of(self, task: Task) -> Any:
-        """What the sampler gives for a task: the argument of the factory.
+        """The sampler's value for a task: the argument of the factory.
 
         Raises:
             UpslopeError: the sampler fails.
         """
-        return _drawn(self.sample_task, np.asarray(task))
+        return _draw(self.sample_task, np.asarray(task))
 
     def sample_many(self, key: Key, count: int) -> Task:
-        return _words(key, count)  # in one call, where mapping over keys takes a dozen
+        return _words(key, count)  # one call; mapping over keys takes a dozen
 
     def reset(self, key: Key, tasks: Task) -> RunningHost:
-        if evaluated_abstractly(key, tasks):
+        if under_abstract_evaluation(key, tasks):
             return RunningHost(jnp.zeros((), jnp.int32))
-        number = self.environments.start(self._tasks(tasks), seed_of(jax.random.key_data(key)))
+        number = self.rollouts.start(self._tasks(tasks), seed_of(jax.random.key_data(key)))
         return RunningHost(jnp.asarray(number, jnp.int32))
 
     def collect(
         self, key: Key, tasks: Task, running: RunningHost, policy: Policy, steps: int
     ) -> tuple[RunningHost, Transition]:
-        if evaluated_abstractly(key, tasks):
-            return running, self._shapes(len(tasks), steps)
+        if under_abstract_evaluation(key, tasks):
+            return running, self._zeros(len(tasks), steps)
         number = int(running.number)
-        if not self.environments.knows(number, len(tasks)):  # from a checkpoint: episodes can't be restored
-            running = self.reset(key, tasks)
-            number = int(running.number)
-        act = acting(policy, key, len(tasks), self.actions.count, steps)()
-        transitions = self._play(self.environments.go_on(number), act, steps)
-        return RunningHost(jnp.asarray(number, jnp.int32)), transitions
+        if not self.rollouts.knows(number, len(tasks)):  # from a checkpoint: episodes can't be restored
+            number = int(self.reset(key, tasks).number)
+        act = host_policy(policy, key, len(tasks), steps)
+        trajectories = self.rollouts.collect(number, act(), steps)
+        return RunningHost(jnp.asarray(number, jnp.int32)), self._transitions(trajectories)
 
     def rollout(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Transition:
-        if evaluated_abstractly(key, tasks):
-            return self._shapes(len(tasks), steps)
         return self.rollout_later(key, tasks, policy, steps)()
 
     def rollout_later(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Callable[[], Transition]:
-        reset_words, act_key = reset_and_act(key)
-        act = acting(policy, act_key, len(tasks), self.actions.count, steps)
+        if under_abstract_evaluation(key, tasks):
+            return lambda: self._zeros(len(tasks), steps)
+        reset_words, act_key = reset_and_act_keys(key)
+        act = host_policy(policy, act_key, len(tasks), steps)
 
         def play() -> Transition:
-            episodes = self.environments.fresh(self._tasks(tasks), seed_of(reset_words))
-            return self._play(episodes, act(), steps)
+            return self._transitions(self.rollouts.rollout(self._tasks(tasks), seed_of(reset_words), act(), steps))
 
         return play
 
     def returns(self, key: Key, tasks: Task, policy: Policy) -> Float[Array, "n"]:
-        if evaluated_abstractly(key, tasks):
+        if under_abstract_evaluation(key, tasks):
             return jnp.zeros(len(tasks))
-        reset_words, act_key = reset_and_act(key)
-        episodes = self.environments.fresh(self._tasks(tasks), seed_of(reset_words))
-        act = acting(policy, act_key, len(tasks), self.actions.count, self.max_steps)()
-        alive, total = np.ones(len(tasks), bool), np.zeros(len(tasks), np.float32)
-        for step in range(self.max_steps):
-            rewards, terminated, truncated, _ = episodes.step(act(step, episodes.obs))
-            total += alive * rewards
-            alive &= ~(terminated | truncated)
-            if not alive.any():
-                break
-        return jnp.asarray(total)
+        reset_words, act_key = reset_and_act_keys(key)
+        act = host_policy(policy, act_key, len(tasks), self.max_steps)
+        return jnp.asarray(self.rollouts.returns(self._tasks(tasks), seed_of(reset_words), act(), self.max_steps))
 
     def close(self) -> None:
-        """Closes all environments; they are made anew when needed."""
-        self.environments.close()
+        """Closes all environments; later calls make new ones."""
+        self.rollouts.close()
 
-    def _play(self, episodes: Episodes, act: Acting, steps: int) -> Transition:
-        count = len(episodes.obs)
-        # Steps come first here, so that each writes whole rows.
-        played, terminated = self._shapes(steps, count, np), np.zeros((steps, count), bool)
-        obs, action, reward, _, next_obs = played  # looked up once: a module's attributes cost more than a write
-        for step in range(steps):
-            obs[step] = shown = episodes.obs
-            action[step] = chosen = act(step, shown)
-            reward[step], terminated[step], _, next_obs[step] = episodes.step(chosen)
+    def _transitions(self, trajectories: Trajectories) -> Transition:
+        obs, action, reward, terminated, next_obs = trajectories
         # Truncation keeps the discount at γ: only a true end cuts the future off.
-        played.discount[:] = self.gamma * ~terminated
-        return jax.device_put(Transition(*(leaf.swapaxes(0, 1) for leaf in played)))
+        discount = (self.gamma * ~terminated).astype(np.float32)
+        return Transition(*jax.device_put((obs, action, reward, discount, next_obs)))
 
-    def _shapes(self, rows: int, columns: int, xp: Any = jnp) -> Transition:
-        """Transitions of zeros ``[rows, columns, ...]``."""
-        numbers = xp.zeros((rows, columns), np.float32)
-        obs = xp.zeros((rows, columns, *self.observation_shape), np.float32)
-        action = self.actions.zeros(rows, columns, xp=xp)
-        return Transition(obs, action, numbers, xp.zeros_like(numbers), xp.zeros_like(obs))
+    def _zeros(self, count: int, steps: int) -> Transition:
+        """Transitions of zeros ``[count, steps, ...]``."""
+        numbers = jnp.zeros((count, steps))
+        obs = jnp.zeros((count, steps, *self.observation_shape))
+        return Transition(obs, self.actions.zeros(count, steps, xp=jnp), numbers, numbers, obs)
 
     def _tasks(self, tasks: Task) -> list[Any]:
         words = np.asarray(tasks)
         if words.dtype != np.uint32 or words.ndim != 2:
             raise UpslopeError(
-                "A task of a host family is what family.sample(key) gives, not the simulator's own setting: for a task "
-                "of your own, make a family whose sample(rng) returns it."
+                "A task of a host family is what family.sample(key) returns, not a setting of the simulator: for your "
+                "own task, make a family whose sample(rng) returns it."
             )
-        sample = self.sample_task  # looked up once: a module's attributes cost more than a draw
-        return [_drawn(sample, row) for row in words]
+        sample = self.sample_task  # once: reading a module's attribute costs more than a draw
+        return [_draw(sample, row) for row in words]
 
 
-def _kind(space: Any) -> Actions:
-    """The kind of action of a fitted space: a box of one axis, or a discrete one."""
+def _actions_of(space: Any) -> Actions:
+    """The actions of a space from `fit_spaces`: a box of one axis, or a discrete space."""
     return ContinuousActions(space.shape[0]) if space.shape else DiscreteActions(int(space.n))
 
 
-def _drawn(sample: Callable[[np.random.Generator], Any], words: np.ndarray) -> Any:
+def _draw(sample: Callable[[np.random.Generator], Any], words: np.ndarray) -> Any:
     try:
         return sample(np.random.default_rng([int(word) for word in words]))
     except Exception as error:
         raise UpslopeError(
-            f"The sampler of tasks failed ({type(error).__name__}: {error}): mend sample(rng)."
+            f"The sampler of tasks failed ({type(error).__name__}: {error}): fix sample(rng)."
         ) from error
 
 
@@ -246,7 +229,6 @@ def _limit(env: gym.Env, given: int | None) -> int:
     limit = given or (env.spec.max_episode_steps if env.spec is not None else None)
     if limit is None or limit < 1:
         raise UpslopeError(
-            "The environment does not say after how many steps it is truncated: give max_steps, "
-            "or wrap it in gymnasium.wrappers.TimeLimit."
+            "The environment has no limit of steps: give max_steps, or wrap it in gymnasium.wrappers.TimeLimit."
         )
     return int(limit)

@@ -1,4 +1,4 @@
-"""The older protocol of task distributions, in which an environment draws and takes its own tasks."""
+"""The older protocol of task distributions, in which an environment draws and sets its own tasks."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,10 +9,12 @@ import numpy as np
 from upslope.errors import UpslopeError
 
 
-def of_protocol(make_env: Callable[[], Any]) -> tuple[Callable[[np.random.Generator], Any], Callable[[Any], gym.Env]]:
+def sampler_and_factory(
+    make_env: Callable[[], Any],
+) -> tuple[Callable[[np.random.Generator], Any], Callable[[Any], gym.Env]]:
     """A sampler of tasks and a factory, from environments with ``sample_tasks(n)`` and ``set_task(task)``.
 
-    ``reset_task`` does for ``set_task``.
+    ``reset_task`` works instead of ``set_task``.
 
     Raises:
         UpslopeError: the environment has no such methods, or draws other tasks for the same seed.
@@ -26,7 +28,7 @@ def of_protocol(make_env: Callable[[], Any]) -> tuple[Callable[[np.random.Genera
         )
 
     def sample(rng: np.random.Generator) -> Any:
-        # Older environments draw with NumPy's global generator, whose state is put back.
+        # Older environments draw with NumPy's global generator, so its state is restored.
         seed, before = int(rng.integers(2**31)), np.random.get_state()  # noqa: NPY002
         sampler.reset(seed=seed)
         np.random.seed(seed)  # noqa: NPY002

@@ -31,8 +31,7 @@ from upslope.experiments.shaping_panel import shaping_arms, shaping_learners, sh
 from upslope.learners.ddpg import DDPGConfig
 from upslope.learners.dqn import DQNConfig
 from upslope.meta_training.config import MetaTrainingConfig
-from upslope.run.ahead import Ahead
-from upslope.run.compiling import compile_clock
+from upslope.run.compiling import Ahead, compile_clock
 from upslope.run.loop import expect
 from upslope.run.session import Session
 from upslope.tasks import JaxTasks, cartpoles
