@@ -69,7 +69,7 @@ class TestTheBackground:
             ahead.wait("one")
         assert done == ["one"]
 
-    def test_nobody_waits_for_what_nobody_submitted(self):
+    def test_waiting_for_an_unknown_program_returns_at_once(self):
         with Ahead() as ahead:
             ahead.wait("unknown")
 

@@ -135,14 +135,14 @@ class TestResuming:
         assert_same(again, first)
         assert [call[1] for call in memory.calls if call[0] == "record"] == [0, 2, 4, 6, 7]
 
-    def test_states_that_nobody_needs_are_not_kept(self, tmp_path):
+    def test_final_states_are_only_kept_on_request(self, tmp_path):
         first = walk(tmp_path, final_states=False)
         again = walk(tmp_path, final_states=False, resume=True)
         assert again.flat_states is None
         assert_trees_identical(again.reports, first.reports)
         assert len(files(tmp_path)) == 1
 
-    def test_one_that_ended_early_is_gone_on_with(self, tmp_path):
+    def test_one_that_ended_early_is_continued(self, tmp_path):
         first = walk(tmp_path, until=4, final_states=False)
         assert first.updates.tolist() == [0, 2, 4]
         assert_same(walk(tmp_path, until=4, resume=True), first)
@@ -172,7 +172,7 @@ class TestResuming:
         assert times == sorted(times)
         assert len(list((tmp_path / "logs" / "learning").glob("events*"))) == 1
 
-    def test_time_between_stop_and_resumption_is_no_running(self, tmp_path, monkeypatch):
+    def test_time_between_stop_and_resumption_does_not_count_as_running(self, tmp_path, monkeypatch):
         stop_at(tmp_path, 4)
         saved = storage.read(files(tmp_path)[-1], "upslope-checkpoint", 1).arrays
         hours_later = time.time() + 10_000.0
@@ -201,7 +201,7 @@ class TestAdopting:
         assert_trees_identical((again.reports, again.metrics), (first.reports, first.metrics))
         assert files(tmp_path / "one"), "nothing was moved away"
 
-    def test_one_that_was_stopped_is_gone_on_with(self, tmp_path):
+    def test_one_that_was_stopped_is_continued(self, tmp_path):
         stop_at(tmp_path / "one", 4)
         adopt(["learning"], tmp_path / "one", tmp_path / "other")
         assert_same(walk(tmp_path / "other", resume=True), walk())
@@ -212,12 +212,12 @@ class TestAdopting:
         with pytest.raises(UpslopeError, match="updates was 7, is now 9"):
             walk(tmp_path / "other", resume=True, updates=9)
 
-    def test_nothing_there_is_told(self, tmp_path):
+    def test_nothing_there_is_an_error(self, tmp_path):
         walk(tmp_path / "one")
         with pytest.raises(UpslopeError, match="no training called 'walking': give the folder"):
             adopt(["walking"], tmp_path / "one", tmp_path / "other")
 
-    def test_no_room_is_told(self, tmp_path):
+    def test_no_room_is_an_error(self, tmp_path):
         walk(tmp_path / "one")
         (tmp_path / "other").write_text("a file, no folder")
         with pytest.raises(NotSavedError, match="can't be copied"):
@@ -291,7 +291,7 @@ class TestDamage:
             again = walk(stopped, resume=True)
         assert_same(again, walk())
 
-    def test_where_none_is_good_it_begins_anew_and_keeps_what_it_saves(self, stopped):
+    def test_if_none_is_good_it_starts_again_and_keeps_what_it_saves(self, stopped):
         damaged = files(stopped)
         for file in damaged:
             self.damage(file)
@@ -346,7 +346,7 @@ class TestDamage:
 
 
 class TestTrouble:
-    def test_a_vanished_folder_is_told_at_the_next_save_with_what_was_learned(self, tmp_path):
+    def test_a_vanished_folder_is_an_error_at_the_next_save_with_the_outcome(self, tmp_path):
         folder = tmp_path / "run"
         folder.mkdir()
 
@@ -438,10 +438,10 @@ def test_a_potential_that_breaks_is_named_with_phase_and_step(tmp_path):
 
 
 def test_golden_checkpoint_of_format_1(tmp_path):
-    """Written by the first version that had checkpoints; it must go on for ever."""
+    """Written by the first version that had checkpoints; every later version must continue from it."""
     golden = Path(__file__).parents[1] / "golden" / "checkpoint-format-1.safetensors"
-    again, anew = walk(tmp_path, resume=golden), walk()
-    np.testing.assert_allclose(again.states.place, anew.states.place, rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(again.reports["return"], anew.reports["return"], rtol=1e-5, atol=1e-5)
-    np.testing.assert_array_equal(again.states.steps, 7)
-    assert (np.diff(again.seconds) > 0).all()
+    resumed, whole = walk(tmp_path, resume=golden), walk()
+    np.testing.assert_allclose(resumed.states.place, whole.states.place, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(resumed.reports["return"], whole.reports["return"], rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(resumed.states.steps, 7)
+    assert (np.diff(resumed.seconds) > 0).all()

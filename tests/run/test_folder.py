@@ -86,7 +86,7 @@ class TestResuming:
             claim_and_leave(tmp_path, "test", resume=True)
 
 
-def test_differences_are_told_by_place():
+def test_differences_are_named_by_place():
     assert differences({"a": 1, "b": [1, 2]}, {"a": 1, "b": [1, 3], "c": None}) == ["b was [1, 2], is now [1, 3]"]
     assert differences({"a": {"b": 1}}, {"a": {"b": 1}}) == []
     assert differences({"a": ["x", {"b": 1, "c": 2}]}, {"a": ["x", {"b": 1, "c": 3}]}) == ["a[1].c was 2, is now 3"]
@@ -94,7 +94,7 @@ def test_differences_are_told_by_place():
 
 
 class TestOneWriter:
-    def test_the_second_is_told_who_holds_it(self, tmp_path):
+    def test_the_second_learns_who_holds_it(self, tmp_path):
         with claim(tmp_path, "test"):
             began = time.monotonic()
             for resume in (False, True):

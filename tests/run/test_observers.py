@@ -60,14 +60,14 @@ class TestEventLog:
         observe(EventLog(folder.parent), title="another run")
         assert {path.name for path in folder.parent.iterdir()} == {"a_run", "another_run"}
 
-    def test_a_run_told_again_leaves_no_duplicates(self, folder):
+    def test_a_repeated_run_leaves_no_duplicates(self, folder):
         before = (folder / "metrics.jsonl").read_text()
         observe(EventLog(folder.parent))
         assert (folder / "metrics.jsonl").read_text() == before
         (events,) = folder.glob("events*")
         assert len(scalars_of(events)) == 8
 
-    def test_a_folder_that_cannot_be_written_is_told(self, tmp_path):
+    def test_a_folder_that_cannot_be_written_is_an_error(self, tmp_path):
         (tmp_path / "file").write_text("no folder")
         with pytest.raises(NotSavedError, match="can't be written"):
             EventLog(tmp_path / "file").begin("a run", 100, 4)

@@ -25,7 +25,7 @@ SCALE = (1 / 2.4, 1 / 2.0, 1 / 0.2, 1 / 2.0)
 
 
 class Lamp(gym.Env):
-    """Observes what it is told to; ends after three steps. The task is the reward of every step."""
+    """Observes samples of the given space; ends after three steps. The task is the reward of every step."""
 
     def __init__(self, task, observation_space, action_space=None):
         self.task, self.observation_space = task, observation_space
