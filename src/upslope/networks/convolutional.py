@@ -1,7 +1,7 @@
 """The torso for images and maps: convolutions, then fully connected layers (Sec. 5.2)."""
 
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -64,7 +64,7 @@ class ConvolutionalTorso(AbstractTorso):
         ]
         return convolutional(layers, self.scale, self.activation, self.dense.numpy_features())
 
-    def with_precision(self, precision: Precision) -> Self:
+    def with_precision(self, precision: Precision) -> "ConvolutionalTorso":
         return replace(self, precision=precision)
 
 

@@ -1,7 +1,7 @@
 """Advantage heads: how A(s, ·) depends on the action, with its maximum in closed form (Eq. 6 needs it exactly)."""
 
 from abc import abstractmethod
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -31,7 +31,7 @@ class AbstractAdvantageHead(eqx.Module):
 
     @classmethod
     @abstractmethod
-    def fresh(cls, key: Key, features: int, actions: int) -> Self:
+    def fresh(cls, key: Key, features: int, actions: int) -> "AbstractAdvantageHead":
         """A head with random weights.
 
         Args:
@@ -79,7 +79,7 @@ class DiscreteHead(AbstractAdvantageHead):
     bias: Float[Array, "*batch actions"]
 
     @classmethod
-    def fresh(cls, key: Key, features: int, actions: int) -> Self:
+    def fresh(cls, key: Key, features: int, actions: int) -> "DiscreteHead":
         layer: Any = eqx.nn.Linear(features, actions, key=key)
         return cls(layer.weight, layer.bias)
 

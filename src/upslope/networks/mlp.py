@@ -1,6 +1,6 @@
 """The torso for vectors: fully connected layers (Sec. 5.1)."""
 
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -55,7 +55,7 @@ class MLP(AbstractTorso):
     def numpy_features(self) -> Features:
         return fully_connected([numpy_layer(layer) for layer in self.layers], self.scale, self.activation)
 
-    def with_precision(self, precision: Precision) -> Self:
+    def with_precision(self, precision: Precision) -> "MLP":
         del precision
         return self
 

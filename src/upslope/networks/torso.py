@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Literal, Self
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -60,5 +60,5 @@ class AbstractTorso(eqx.Module):
         """The torso as a NumPy function of a batch, for acting on the host."""
 
     @abstractmethod
-    def with_precision(self, precision: Precision) -> Self:
+    def with_precision(self, precision: Precision) -> "AbstractTorso":
         """The same torso, its convolutions (if any) computed with this many bits."""
