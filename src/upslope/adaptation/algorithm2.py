@@ -17,7 +17,7 @@ from upslope.learners.learner import AbstractTaskLearner, vital_signs
 from upslope.learners.lookups import dueling_table
 from upslope.learners.policies import EpsilonGreedy, Greedy
 from upslope.learners.shaping import add_shaping, potential_based
-from upslope.networks.dueling import AbstractDueling, DuelingQ
+from upslope.networks.dueling import AbstractDueling, ByAdvantage, DuelingQ
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Action, Key, Metrics, Observation, Scalar, Task, Transition
 
@@ -143,7 +143,7 @@ class Adaptation(AbstractTaskLearner):
 
     def gather(self, state: AdaptationState) -> tuple[Any, Transition]:
         _, act_key, _ = jax.random.split(state.key, 3)
-        policy = EpsilonGreedy(state.evaluated, self.config.epsilon)
+        policy = EpsilonGreedy(ByAdvantage(state.evaluated), self.config.epsilon)
         return state.experience.act(act_key, self.family, self.task, policy, self.config.steps_per_update)
 
     def update(self, state: AdaptationState, gathered: tuple[Any, Transition]) -> tuple[AdaptationState, Metrics]:
@@ -159,5 +159,5 @@ class Adaptation(AbstractTaskLearner):
 
     def report(self, state: AdaptationState) -> dict[str, Scalar]:
         key = jax.random.fold_in(state.key, 0)
-        policy = Greedy(state.evaluated)
+        policy = Greedy(ByAdvantage(state.evaluated))
         return greedy_report(key, self.family, self.task, policy, self.config.evaluation_episodes)

@@ -6,10 +6,10 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from upslope.equations.losses import dueling_q
 from upslope.networks.heads import AbstractAdvantageHead, DiscreteHead
 from upslope.networks.mlp import numpy_layer
 from upslope.networks.numpy_acting import affine
@@ -45,18 +45,15 @@ class AbstractDueling(eqx.Module):
 
     def q(self, obs: Observation, action: Action) -> Scalar:
         """Q(s, a) by Eq. 6."""
-        value, outputs = self.heads(obs)
-        head = self.advantage_head
-        return dueling_q(value, head.advantage(outputs, action), head.highest(outputs))
+        return self.advantage_head.q(*self.heads(obs), action)
 
     def best(self, obs: Observation) -> Action:
         """The action of the highest Q(s, ·)."""
-        return self.advantage_head.best(self.heads(obs)[1])
+        return self.advantage_head.best(*self.heads(obs))
 
     def __call__(self, obs: Observation) -> Float[Array, "actions"]:
         """Q(s, ·) by Eq. 6, where actions can be listed."""
-        value, outputs = self.heads(obs)
-        return dueling_q(value, self.advantage_head.each(outputs), self.advantage_head.highest(outputs))
+        return self.advantage_head.each_q(*self.heads(obs))
 
     def random_actions(self, key: Key, count: int) -> Any:
         """Uniformly random actions ``[count, ...]``."""
@@ -104,10 +101,10 @@ class DuelingQ(AbstractDueling):
         return self.value_head(features)[0], self.advantage_head(features)
 
     def numpy_best(self) -> Callable[[np.ndarray], np.ndarray]:
-        """`best` as a NumPy function of a batch ``[n, *obs]``."""
+        """`best` as a NumPy function of a batch ``[n, *obs]``. V is not needed: it moves no maximum."""
         features, weights = self.torso.numpy_features(), affine(numpy_layer(self.advantage_head))
-        best = self.advantage_head.best
-        return lambda obs: best(np.dot(weights, features(obs)).T)
+        best, no_value = self.advantage_head.best, np.zeros(1, np.float32)
+        return lambda obs: best(no_value, np.dot(weights, features(obs)).T)
 
 
 class DuelingTable(AbstractDueling):
@@ -127,3 +124,23 @@ class DuelingTable(AbstractDueling):
     def heads(self, obs: Observation) -> tuple[Scalar, Float[Array, "units"]]:
         state = self.states.state_number(obs)
         return self.values[state], self.outputs[state]
+
+
+class ByAdvantage(eqx.Module):
+    """Acts by the A head (Algorithm 2): the best action is that of the highest A(s, ·).
+
+    Eq. 6's Q has its maximum there too, but where V is large, Q of two actions can round to one number.
+    """
+
+    network: AbstractDueling
+
+    def best(self, obs: Observation) -> Action:
+        _, outputs = self.network.heads(obs)
+        return self.network.advantage_head.best(jnp.zeros(()), outputs)
+
+    def random_actions(self, key: Key, count: int) -> Any:
+        return self.network.random_actions(key, count)
+
+    def numpy_best(self) -> Callable[[np.ndarray], np.ndarray]:
+        network: Any = self.network
+        return network.numpy_best()

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.api import best_prior
-from upslope.equations.losses import dueling_q
 from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_for
 from upslope.experiments.maps.readings import GridPriorsConfig, Maps, stage
@@ -157,7 +156,7 @@ def examined(
         known, task = pair
         features = jax.vmap(network.torso)(family.env.observe_all(task))
         value, advantage = jax.vmap(network.heads_on)(features)
-        q = dueling_q(value[:, None], advantage, advantage.max(-1, keepdims=True))
+        q = network.advantage_head.each_q(value, advantage)
         return measure(known, value, q, family.max_steps), td_residual(known, value, q), features
 
     # One task at a time: on CPUs convolutions are twice as fast on what the caches hold.

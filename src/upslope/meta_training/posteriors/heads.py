@@ -5,7 +5,6 @@ from typing import Any
 
 import jax
 
-from upslope.equations.losses import dueling_q
 from upslope.equations.maml import adapt
 from upslope.meta_training.posteriors.finite import AbstractFinitePosterior, FiniteSamples, QTable, mean_td_loss
 from upslope.networks.dueling import DuelingQ
@@ -45,8 +44,7 @@ class HeadsPosterior(AbstractFinitePosterior):
 
         def q(heads: tuple[Any, Any]) -> QTable:
             value_head, head = heads
-            outputs = jax.vmap(head)(features)
-            return dueling_q(jax.vmap(value_head)(features), head.each(outputs), head.highest(outputs)[:, None])
+            return head.each_q(jax.vmap(value_head)(features)[:, 0], jax.vmap(head)(features))
 
         def loss(heads: tuple[Any, Any], samples: FiniteSamples) -> Any:
             return mean_td_loss(q(heads), samples.steps)
