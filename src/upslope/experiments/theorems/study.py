@@ -19,6 +19,7 @@ from upslope.experiments.theorems.credit_assignment import credit_assignment
 from upslope.experiments.theorems.maps import draw_maps, kinds
 from upslope.experiments.theorems.plots import draw_theorems
 from upslope.experiments.theorems.policy_invariance import policy_invariance
+from upslope.experiments.theorems.tables import tables
 from upslope.run.machine import hardware, versions
 from upslope.run.observers import Observer
 from upslope.run.session import Session
@@ -104,49 +105,6 @@ def theorems(config: TheoremsConfig, observers: Sequence[Observer] = ()) -> dict
 def _tell(observers: Sequence[Observer], step: int, solved: float | np.floating) -> None:
     for observer in observers:
         observer.record(step, np.asarray([solved]), {}, at=time.time())
-
-
-def tables(results: dict[str, Any]) -> str:
-    """The results as the Markdown tables of docs/theorems.md."""
-    return "\n".join([*_invariance(results), "", *_credit(results), "", *_alternation(results), ""])
-
-
-def _invariance(results: dict[str, Any]) -> list[str]:
-    rows = results["invariance"]
-    potentials = list(next(iter(rows.values())))
-    head = [f"| {kind}: what is added to R | " + " | ".join(f"Φ {name}" for name in potentials) + " |" for kind in rows]
-    lines = []
-    for line, by_potential in zip(head, rows.values(), strict=True):
-        lines += [line, "|---" * (1 + len(potentials)) + "|"]
-        for added in next(iter(by_potential.values())):
-            cells = [by_potential[name][added] for name in potentials]
-            shown = " | ".join(f"{100 * cell['changed']:.1f} % / {100 * cell['solved']:.1f} %" for cell in cells)
-            lines.append(f"| {added} | {shown} |")
-        lines.append("")
-    return lines[:-1]
-
-
-def _credit(results: dict[str, Any]) -> list[str]:
-    lines = [
-        "| maps | states | optimal actions: largest size | others: largest | one outcome: largest "
-        "| solved: V* | Manhattan | no potential |",
-        "|---" * 8 + "|",
-    ]
-    for kind, row in results["credit"].items():
-        solved = " | ".join(f"{100 * row['solved'][name]:.1f} %" for name in ("V*", "Manhattan", "none"))
-        numbers = f"{row['optimal_size']:.0e} | {row['other_largest']:.0e} | {row['single_largest']:.2g}"
-        lines.append(f"| {row['maps']} × {kind} | {row['states']} | {numbers} | {solved} |")
-    return lines
-
-
-def _alternation(results: dict[str, Any]) -> list[str]:
-    lines = ["| maps | start and ratio | converged | median map, V | worst map, V |", "|---" * 5 + "|"]
-    for kind, row in results["alternation"].items():
-        for start, found in row["starts"].items():
-            share = f"{100 * found['converged']:.1f} %"
-            ends = f"{found['median'][-1]:.0e} | {found['worst'][-1]:.0e}"
-            lines.append(f"| {row['maps']} × {kind} | {start} | {share} | {ends} |")
-    return lines
 
 
 def _run(plan: Plan[TheoremsConfig], session: Session) -> dict[str, Any]:
