@@ -24,6 +24,7 @@ GENERATED: dict[str, Callable[[], str]] = {
     "learners": poles.learners,
     "step-ratio": poles.step_ratio,
     "clients": poles.clients,
+    "clients-tuning": poles.clients_tuning,
     "clients-short": poles.clients_short,
     "maps-short": maps.priors_short,
     "fig2-priors": partial(maps.priors, "fig2"),

@@ -1,8 +1,9 @@
 """The tables about CartPoles: Figure 1, the studies of its settings, and other libraries' learners."""
 
+import json
 from typing import Any
 
-from docs.numbers.shared import interval, load, number, or_never, table
+from docs.numbers.shared import DATA, interval, load, number, or_never, table
 
 ARMS = {
     "unshaped": "no shaping",
@@ -155,6 +156,28 @@ def clients_short() -> str:
         f"{first['DQN']['shaped']:.0f} steps (median); without shaping it does not within {found['DQN']['steps']:,}. "
         f"Its SAC, which has continuous actions, needs {first['SAC']['shaped']:.0f} steps instead of "
         f"{first['SAC']['unshaped']:,.0f}."
+    )
+
+
+def clients_tuning() -> str:
+    """The settings of Stable-Baselines3's learners on tuning poles; the best of each learner is in bold."""
+    lines = (DATA / "clients" / "tuning.jsonl").read_text(encoding="utf-8").splitlines()
+    returns: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for run in map(json.loads, lines):
+        arms = returns.setdefault((run["algorithm"], run["variant"]), {})
+        arms.setdefault(run["arm"], []).append(sum(run["returns"]) / len(run["returns"]))
+    rows = []
+    for (algorithm, variant), arms in returns.items():
+        means = [sum(arms[name]) / len(arms[name]) for name in ("unshaped", "constant", "shaped")]
+        rows.append((algorithm, f"{algorithm}, {variant}", [*means, sum(means) / 3]))
+    best = {algorithm: max(row[2][-1] for row in rows if row[0] == algorithm) for algorithm, *_ in rows}
+    head = ("on the tuning poles", "no shaping", "constant", "prior", "mean of the arms")
+    return table(
+        head,
+        [
+            (f"**{name}**" if means[-1] == best[algorithm] else name, *(f"{mean:.0f}" for mean in means))
+            for algorithm, name, means in rows
+        ],
     )
 
 
