@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-
 from docs.numbers.shared import interval, load, number, or_never, seed_range, table
 
 MEASURES = {
@@ -112,8 +111,8 @@ def oracle() -> str:
     below = load("fig5")["panels"]["right"]["percent_below_oracle"]
     *most, last = (f"{percent:.1f}" for percent in sorted(below["of_seeds"]))
     return (
-        f"The learned prior is {below['percent']:.1f} % below V* (95 % interval over maps and seeds: {below['low']:.1f} "
-        f"to {below['high']:.1f} %; the single priors: {', '.join(most)} and {last} %)."
+        f"The learned prior is {below['percent']:.1f} % below V* (95 % interval over maps and seeds: "
+        f"{below['low']:.1f} to {below['high']:.1f} %; the single priors: {', '.join(most)} and {last} %)."
     )
 
 
@@ -149,7 +148,16 @@ def adaptation(figure: str) -> str:
         for name, arm in arms.items():
             gap = interval(less[name], 3) if name in less else ""
             rows.append((f"{int(stop):,}", f"`{name}`", *_course(arm), gap))
-    head = ("stop", "arm", "mean success", "start", "highest (updates)", "end", "median solved after", "lower quartile solved")
+    head = (
+        "stop",
+        "arm",
+        "mean success",
+        "start",
+        "highest (updates)",
+        "end",
+        "median solved after",
+        "lower quartile solved",
+    )
     return table((*head, "Algorithm 2 minus this (95 %)"), rows)
 
 

@@ -1,6 +1,7 @@
 """The tables of docs/theorems.md."""
 
 from docs.numbers.shared import load
+
 from upslope.experiments.theorems.tables import alternation_table, credit_table, invariance_tables
 
 

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
-
 from docs.tables import GENERATED, generate, pages, quoted
+
 from upslope.experiments.theorems.alternation import stable_ratio
 from upslope.experiments.theorems.study import TheoremsConfig
 from upslope.learners.dqn import for_maps
