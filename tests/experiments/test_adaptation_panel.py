@@ -21,11 +21,12 @@ class TestTuning:
         tuning = Tuning((0.1, 0.2, 0.4), test_tasks=7)
         assert tuning.task.tolist() == [0, 0, 0, 1, 1, 1, 2]
         assert tuning.sizes.tolist() == [0.1, 0.2, 0.4, 0.1, 0.2, 0.4, 0.1]
-        assert tuning.of_tasks({"length": np.arange(7) + 10})["length"].tolist() == [10, 10, 10, 11, 11, 11, 12]
+        tasks = tuning.tasks_of_learners({"length": np.arange(7) + 10})
+        assert tasks["length"].tolist() == [10, 10, 10, 11, 11, 11, 12]
 
     def test_all_step_sizes_share_the_keys_of_a_task(self) -> None:
         keys = jax.random.split(jax.random.key(0), (2, 3, 7))
-        own = jax.random.key_data(Tuning((0.1, 0.2, 0.4), test_tasks=7).of_keys(keys))
+        own = jax.random.key_data(Tuning((0.1, 0.2, 0.4), test_tasks=7).keys_of_learners(keys))
         np.testing.assert_array_equal(own, jax.random.key_data(keys)[:, :, jnp.asarray([0, 0, 0, 1, 1, 1, 2])])
 
     def test_the_run_that_is_left_over_is_not_counted(self) -> None:

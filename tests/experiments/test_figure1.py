@@ -96,9 +96,9 @@ def test_one_program_serves_all_arms_seeds_and_repeats(result: FigureResult, com
 
 
 def test_it_can_be_seen_after_each_panel_but_the_last(result: FigureResult, shown: list[FigureResult]) -> None:
-    seen = [(list(so_far.panels), so_far.to_come) for so_far in shown]
+    seen = [(list(so_far.panels), so_far.pending) for so_far in shown]
     assert seen == [(["left"], ("middle", "right")), (["left", "middle"], ("right",))]
-    assert result.to_come == ()
+    assert result.pending == ()
     for so_far in shown:
         assert all(panel is result.panels[name] for name, panel in so_far.panels.items())
         assert so_far.quick

@@ -117,5 +117,5 @@ def test_detours_lead_around_traps_at_any_discount():
 def test_slippery_maps_have_no_detours():
     family = grid_games((3, 3), slip=0.2)
     maps = draw(family, 2)
-    with pytest.raises(UpslopeError, match="Where moves slip no path is the shortest"):
+    with pytest.raises(UpslopeError, match="Where moves slip there is no shortest path"):
         mean_detours(family, truths(family.env, maps, family.gamma), maps)

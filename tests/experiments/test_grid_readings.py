@@ -107,9 +107,9 @@ class TestPage:
         assert pictures == ["figure.png", "map.png", "sheet.png"]
         assert "<h1>Figure &lt;4&gt;</h1>" in page
         assert "<td>φ &lt;b&gt;</td><td>61</td>" in page
-        assert "the aim of 0.4 missed" in page
-        assert "2 of each kind, and measured exactly on 10 maps" in page
-        assert "Seeds from 3 on." in page
+        assert "(aim: 0.4, missed)" in page
+        assert "2 of each kind, and measured exactly on 10 unseen maps" in page
+        assert "First seed: 3." in page
         assert "quick form" not in page
         write_prior_report("Figure 4", {**RESULTS, "quick": True}, AIMS, tmp_path)
         assert "quick form" in (tmp_path / "report.html").read_text(encoding="utf-8")

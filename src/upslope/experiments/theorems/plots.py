@@ -1,4 +1,4 @@
-"""The picture of the theorems: what breaks policy invariance, how good Φ must be, when Eqs. 8 and 9 converge."""
+"""The picture of the theorems: what violates policy invariance, how good Φ must be, when Eqs. 8 and 9 converge."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-#: The kind of maps that the first and the third panel show.
+#: The kind of maps in the first and the third panel.
 SHOWN = "obstacles 8×8"
 COLOURS = ("#b2182b", "#2166ac", "#4d9221", "#762a83")
 
@@ -26,7 +26,7 @@ def draw_theorems(results: dict[str, Any], folder: Path) -> None:
 
 
 def draw_invariance(axis: Axes, rows: dict[str, dict[str, dict[str, float]]]) -> None:
-    """Thm. 2.1: in how many maps some optimal action changes, by potential and by what is added."""
+    """Thm. 2.1: the share of maps in which some optimal action changes, by potential and by what is added."""
     added = list(next(iter(rows.values())))
     shares = np.array([[100 * row[name]["changed"] for row in rows.values()] for name in added])
     axis.imshow(shares, cmap="Reds", vmin=0, vmax=120, aspect="auto")
@@ -63,15 +63,15 @@ def draw_tables(axis: Axes, row: dict[str, Any]) -> None:
             row["pairs"], np.maximum(found["worst"], 1e-9), color=colour, linestyle="--", label=f"{start}, worst map"
         )
     axis.set(yscale="log", ylim=(1e-9, 1e6), xlabel="pairs of steps of Eqs. 8 and 9", ylabel="largest |V − V*|")
-    axis.set_title(f"Thm. 3.2 on tables ({SHOWN}); ratio: V's step in A's")
+    axis.set_title(f"Thm. 3.2 on tables ({SHOWN}); ratio of V's step to A's")
     axis.legend(frameon=False, fontsize=7)
 
 
 def draw_network(axis: Axes, found: dict[str, Any]) -> None:
-    """Thm. 3.2 on a network: the distance of V to V*, a line per seed."""
+    """Thm. 3.2 on a network: the distance of V to V*, one line per seed."""
     for colour, (ratio, runs) in zip((COLOURS[0], COLOURS[2]), found["ratios"].items(), strict=False):
         for number, run in enumerate(runs["value"]):
             axis.plot(found["updates"], run, color=colour, linewidth=1, label=None if number else f"ratio {ratio}")
     axis.set(yscale="log", xlabel="pairs of steps of Eqs. 8 and 9", ylabel="largest |V − V*|")
-    axis.set_title("Thm. 3.2 on a network (one 5×5 map, a line per seed)")
+    axis.set_title("Thm. 3.2 on a network (one 5×5 map, one line per seed)")
     axis.legend(frameon=False)
