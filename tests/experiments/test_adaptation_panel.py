@@ -1,4 +1,4 @@
-"""The left panel: how step sizes are chosen, and what it keeps of its runs."""
+"""The left panel: how step sizes are selected, and what is kept of its runs."""
 
 import gc
 import weakref
@@ -31,7 +31,7 @@ class TestTuning:
 
     def test_the_run_that_is_left_over_is_not_counted(self) -> None:
         scores = np.arange(2 * 7 * 4.0).reshape(2, 1, 7, 4)
-        told = Tuning((0.1, 0.2, 0.4), test_tasks=7).by_size(scores)
+        told = Tuning((0.1, 0.2, 0.4), test_tasks=7).by_step_size(scores)
         assert told.shape == (2, 1, 2, 3, 4)
         np.testing.assert_array_equal(told[1, 0, 1, 2], scores[1, 0, 5])
 
@@ -41,7 +41,7 @@ class TestTuning:
 
 
 class States:
-    """Of the learners of a run, gigabytes on maps."""
+    """The learners' states are dropped: on maps they are gigabytes."""
 
 
 def test_states_of_finished_runs_are_let_go(monkeypatch):

@@ -1,4 +1,4 @@
-"""The registry of experiments: what options make of their settings, what is refused, and how one is reproduced."""
+"""The registry of experiments: how options change settings, what is refused, and how one is reproduced."""
 
 import io
 import json
@@ -88,7 +88,7 @@ def test_figures_on_maps_share_all_trainings_of_the_one_before(figure, begins_as
 
 @dataclass(frozen=True)
 class Settings:
-    """Of the experiment below."""
+    """Settings of the experiment below."""
 
     seeds: int = 2
     tasks: int = 5
@@ -97,7 +97,7 @@ class Settings:
 
 @pytest.fixture
 def sessions(monkeypatch):
-    """Every session in which an experiment ran that computes nothing; "stub" takes priors."""
+    """The sessions of an experiment that computes nothing; "stub" can reuse priors."""
     seen = []
 
     def run(plan, session):
@@ -116,7 +116,7 @@ def sessions(monkeypatch):
     return seen
 
 
-def test_it_is_run_written_and_told(sessions, tmp_path):
+def test_it_is_run_written_and_summarised(sessions, tmp_path):
     console = Console(record=True, file=io.StringIO())
     reproduce("stub", out=tmp_path / "out", is_quick=True, seeds=3, first_seed=1, console=console)
     described = json.loads((tmp_path / "out" / "run.json").read_text())

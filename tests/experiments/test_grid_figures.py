@@ -1,4 +1,4 @@
-"""Figures 3 and 5 in miniature: what they write, that they are the same twice, and which maps they use."""
+"""Figures 3 and 5 in miniature: what they write, that they are deterministic, and which maps they use."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Thms. 2.1, 3.1 and 3.2 on maps: thousands of them, and small ones that are followed by hand."""
+"""Thms. 2.1, 3.1 and 3.2 on thousands of maps, and on small ones by hand."""
 
 import equinox as eqx
 import jax
@@ -50,7 +50,7 @@ class TestTheorem21:
         assert found["random, 1"]["Φ(s′) alone"]["solved"] < 0.2
 
     def test_a_bonus_for_coming_nearer_is_collected_for_ever(self):
-        # Only progress counts: one step to and fro pays 0.4 every other step, for ever; the goal pays 1 and once.
+        # Only progress counts: going back and forth pays 0.4 every other step forever; the goal pays 1 once.
         mdp = tabulate(GridGame(1, 4), read_map("S..G"), GAMMA)
         potential = jnp.asarray([-1.2, -0.8, -0.4, 0.0])
         right, *_, only_positive, _ = added_rewards(mdp, potential, 1.0)
@@ -152,7 +152,7 @@ class TestGridPotentials:
 
 
 def ring(states: int) -> TabularMDP:
-    """A task without a choice: around a ring for ever, with no reward."""
+    """A task without a choice: around a ring forever, without reward."""
     shape = (states, 1, 1)
     successors = jnp.roll(jnp.arange(states), -1).reshape(shape)
     return TabularMDP(successors, jnp.ones(shape), jnp.zeros(shape), jnp.full(shape, GAMMA), jnp.ones(states, bool))
@@ -169,7 +169,7 @@ class TestTheorem32:
         assert slow["advantage"] < 1e-4
         assert found["fixed"] < 1e-8, "Eq. 8 alone finds Q* − Φ"
         if "slippery" in kind:
-            return  # one in twenty fails there: too few of sixty to tell
+            return  # one in twenty fails there: sixty are too few for this check
         for start in ("random, ratio 1", "zero, ratio 1"):
             assert 0.2 < found["starts"][start]["converged"] < 1
             assert found["starts"][start]["worst"][-1] > 1
