@@ -162,7 +162,7 @@ def adaptation(figure: str) -> str:
 
 
 def learners() -> str:
-    """What the settings of DQN are worth on maps."""
+    """The effect of DQN's settings on maps."""
     rows = []
     for name, row in load("grid-learners")["variants"].items():
         means = [row["arms"][arm]["mean_over_evaluations"] for arm in ("unshaped", "manhattan", "oracle")]

@@ -92,7 +92,7 @@ def figure1_stops() -> str:
 
 
 def deviations() -> str:
-    """What each difference from the printed Algorithm 1 is worth."""
+    """The effect of each difference from the printed Algorithm 1."""
     rows = [
         (
             name,
@@ -108,7 +108,7 @@ def deviations() -> str:
 
 
 def learners() -> str:
-    """What the settings of DQN and DDPG are worth to each arm on poles."""
+    """The effect of DQN's and DDPG's settings on each arm, on poles."""
     rows = [
         (
             name,

@@ -25,7 +25,7 @@ UPDATES = np.array([0, 25, 50])
 
 
 def arm(solved, notes=None) -> Arm:
-    """The number of solved maps, of ten, at each evaluation, for one seed; a solved map has a discounted return of 0.5."""
+    """The numbers of solved maps, of ten, at each evaluation, for one seed; a solved map returns 0.5, discounted."""
     returns = (np.arange(10)[None, :, None] < np.asarray(solved)[None, None, :]).astype(np.float32)
     return make_arm(UPDATES, {"return": returns, "discounted_return": returns / 2}, SUCCESS, notes)
 

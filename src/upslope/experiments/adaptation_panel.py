@@ -99,7 +99,7 @@ def adaptation_panel(
     keys = adaptation_keys(first_seed, Purpose.TUNING, learners)
     before = np.asarray(adapt_all(learners, keys, "before adaptation", updates=1).reports["return"])[..., 0]
     zero_shot = (np.median if panel.average == "median" else np.mean)(before, axis=(1, 2))
-    shown = str(panel.stops[int(np.abs(zero_shot - panel.start).argmin())])
+    shown_stop = str(panel.stops[int(np.abs(zero_shot - panel.start).argmin())])
     tuning_tasks, tuning_keys = tuning.tasks_of_learners(tuning_tasks), tuning.keys_of_learners(keys)
     for number, name in enumerate(rules):
         rule = one_of(rules, number)
@@ -119,14 +119,14 @@ def adaptation_panel(
             notes = {"step_size": float(best[index]), "means_on_tuning_tasks": on_tuning_tasks}
             arms_of_stops[str(stop)][name] = make_arm(test.updates, of_stop, score, notes)
     notes = {
-        "stop": int(shown),
+        "stop": int(shown_stop),
         "zero_shot_on_tuning_tasks": dict(zip(arms_of_stops, zero_shot.tolist(), strict=True)),
         "algorithm2_less": {stop: differences(arms, "algorithm2") for stop, arms in arms_of_stops.items()},
     }
-    title = f"Adaptation, Algorithm 1 stopped at {shown}"
+    title = f"Adaptation, Algorithm 1 stopped at {shown_stop}"
     compiling = sum(outcome.seconds_compiling for outcome in outcomes)
     running = sum(outcome.seconds_running for outcome in outcomes)
-    return Panel(title, arms_of_stops[shown], compiling, running, variants=arms_of_stops, notes=notes)
+    return Panel(title, arms_of_stops[shown_stop], compiling, running, variants=arms_of_stops, notes=notes)
 
 
 def one_of(rules: Mapping[str, UpdateRule], number: int) -> OneOf:

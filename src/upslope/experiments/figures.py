@@ -44,7 +44,7 @@ def _summarise(result: FigureResult, folder: Path, console: Console) -> None:
 
 def _show(result: FigureResult, folder: Path, console: Console) -> None:
     if (folder / "results.json").exists():
-        return  # a figure that was finished before, and is made again from its checkpoints, keeps its whole picture
+        return  # a finished figure that is made again from its checkpoints keeps its whole picture
     draw(result, folder)
     newest = list(result.panels)[-1]
     console.print(f"The {newest} panel is done: {folder / 'figure.png'} shows it.", highlight=False, soft_wrap=True)

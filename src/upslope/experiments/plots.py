@@ -45,9 +45,9 @@ def draw(result: FigureResult, folder: Path) -> None:
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         figure = _figure(result)
         for kind in ("png",) if result.pending else ("png", "pdf"):
-            drawn = io.BytesIO()
-            figure.savefig(drawn, format=kind, dpi=150)
-            write_atomically(folder / f"figure.{kind}", drawn.getvalue())
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=kind, dpi=150)
+            write_atomically(folder / f"figure.{kind}", buffer.getvalue())
         plt.close(figure)
 
 

@@ -106,10 +106,10 @@ def _about_the_oracle(panel: Panel, percent: float, low: float, high: float, of_
 def _about_shaping(panel: Panel) -> str:
     means = {name: float(arm.returns.mean()) for name, arm in panel.arms.items()}
     digits = panel.score.digits
-    shown = {name: f"{mean:.{digits}f}" for name, mean in means.items()}
+    texts = {name: f"{mean:.{digits}f}" for name, mean in means.items()}
     controls = [
-        f"{shown['unshaped']} without shaping{_times(means, 'unshaped')}",
-        f"{shown['constant']} with a constant potential{_times(means, 'constant')}",
+        f"{texts['unshaped']} without shaping{_times(means, 'unshaped')}",
+        f"{texts['constant']} with a constant potential{_times(means, 'constant')}",
     ]
     others = {
         "prior_ensemble": "the mean of the priors",
@@ -117,9 +117,9 @@ def _about_shaping(panel: Panel) -> str:
         "manhattan": "Manhattan distance",
         "oracle": "the oracle",
     }
-    rest = ", ".join(f"{words} {shown[name]}" for name, words in others.items() if name in shown)
+    rest = ", ".join(f"{words} {texts[name]}" for name, words in others.items() if name in texts)
     return (
-        f"{panel.title}: with the prior, the mean {panel.score.name} over all evaluations is {shown['prior']}, "
+        f"{panel.title}: with the prior, the mean {panel.score.name} over all evaluations is {texts['prior']}, "
         f"compared with {' and '.join(controls)}; {rest}."
     )
 

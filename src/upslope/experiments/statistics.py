@@ -126,7 +126,7 @@ def _resampled_means(
 
 
 def first_at_least(updates: np.ndarray, curve: Curve, threshold: float) -> int | None:
-    """The first number of updates at which the curve is at or above the threshold; None if it never is there."""
+    """The first number of updates at which the curve is at or above the threshold; None if it never is."""
     reached = np.flatnonzero(curve >= threshold)
     return int(updates[reached[0]]) if reached.size else None
 

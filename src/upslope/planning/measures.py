@@ -131,8 +131,8 @@ def rank_correlation(ours: States, theirs: States, states: StatesMask) -> Scalar
 
 def action_optimality(q: ActionValues, optimal_q: ActionValues, states: StatesMask) -> Scalar:
     """Share of some states in which the action with the highest Q (the first one among ties) is optimal."""
-    chosen = jnp.argmax(q, axis=-1, keepdims=True)
-    is_best = jnp.take_along_axis(best_actions(optimal_q), chosen, axis=-1)[:, 0]
+    greedy = jnp.argmax(q, axis=-1, keepdims=True)
+    is_best = jnp.take_along_axis(best_actions(optimal_q), greedy, axis=-1)[:, 0]
     return _mean(is_best.astype(q.dtype), states)
 
 

@@ -20,5 +20,5 @@ def draw_map_figures(config: GridPriorsConfig, prior: Prior, folder: Path) -> No
     maps = unseen.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
     learned = learned_maps(family.env, truths(family.env, maps, family.gamma), maps, prior.network, family.max_steps)
     draw_one(learned[0], folder / "map.png")
-    shown = spread_by_rank(np.array([one.measures.rank_correlation for one in learned]), SHEET_SIZE)
-    draw_sheet([learned[index] for index in shown], folder / "sheet.png")
+    selection = spread_by_rank(np.array([one.measures.rank_correlation for one in learned]), SHEET_SIZE)
+    draw_sheet([learned[index] for index in selection], folder / "sheet.png")

@@ -177,8 +177,8 @@ def draw_values(
     """A heat map of numbers in the cells that count, over the map's start, goal, obstacles and traps."""
     params = learned.params
     height, width = params.obstacles.shape
-    shown = np.where(learned.states, values, np.nan).reshape(height, width)
-    image = axis.imshow(shown, cmap=colours, vmin=limits[0], vmax=limits[1])
+    grid = np.where(learned.states, values, np.nan).reshape(height, width)
+    image = axis.imshow(grid, cmap=colours, vmin=limits[0], vmax=limits[1])
     _fill(axis, np.flatnonzero(params.obstacles), WALL_COLOUR, width)
     _fill(axis, np.flatnonzero(params.traps), TRAP_COLOUR, width)
     _fill(axis, [int(params.goal)], GOAL_COLOUR, width)

@@ -100,5 +100,5 @@ def added_rewards(mdp: TabularMDP, potential: Float[Array, "states"], gamma: flo
 
 
 def _with_rewards(mdp: TabularMDP, rewards: Array) -> TabularMDP:
-    kept = jnp.where(mdp.acting[:, None, None], rewards, mdp.rewards)
-    return eqx.tree_at(lambda mdp: mdp.rewards, mdp, kept)
+    new_rewards = jnp.where(mdp.acting[:, None, None], rewards, mdp.rewards)
+    return eqx.tree_at(lambda mdp: mdp.rewards, mdp, new_rewards)

@@ -42,8 +42,8 @@ def alternation_table(results: dict[str, Any]) -> str:
     """Thm. 3.2 on tables of values."""
     lines = ["| maps | start and ratio | converged | median map, V | worst map, V |", "|---" * 5 + "|"]
     for kind, row in results["alternation"].items():
-        for start, found in row["starts"].items():
-            share = f"{100 * found['converged']:.1f} %"
-            ends = f"{found['median'][-1]:.0e} | {found['worst'][-1]:.0e}"
+        for start, end in row["starts"].items():
+            share = f"{100 * end['converged']:.1f} %"
+            ends = f"{end['median'][-1]:.0e} | {end['worst'][-1]:.0e}"
             lines.append(f"| {row['maps']} × {kind} | {start} | {share} | {ends} |")
     return "\n".join(lines)
