@@ -69,7 +69,7 @@ class TestByHand:
         assert float(found.value[1]) == 0.0, "nothing can be done in a trap"
 
     def test_a_slippery_corridor(self):
-        # Up and down do not move in a corridor of one row, so a slip only costs time: one step away V = (1 − p)/(1 − γp).
+        # In a corridor of one row up and down do not move, and a slip costs time: one step away V = (1 − p)/(1 − γp).
         one = read_map("S.G", slip=0.4)
         found = value_iteration(tabulate(GridGame(1, 3, slippery=True), one, GAMMA))
         ahead = 0.6 / (1 - 0.4 * GAMMA)
