@@ -16,9 +16,16 @@ from upslope.tasks import obstacle_maps
 
 
 def what_changes(readings):
-    recipe = dataclasses.asdict(readings["algorithm1"].config)
+    """The settings of each reading that differ from the recipe's, those of its posterior included."""
+
+    def flat(config):
+        settings = dataclasses.asdict(config)
+        posterior = settings.pop("posterior")
+        return {"normalised_steps": False, "posterior": posterior.pop("name")} | settings | posterior
+
+    recipe = flat(readings["algorithm1"].config)
     return {
-        name: {key for key, value in dataclasses.asdict(config).items() if value != recipe[key]}
+        name: {key for key, value in flat(config).items() if value != recipe[key]}
         for name, (_, config) in readings.items()
     }
 

@@ -146,6 +146,9 @@ class Scores(eqx.Module):
     def value(self, obs):
         return jnp.max(self(obs))
 
+    def best(self, obs):
+        return jnp.argmax(self(obs))
+
 
 def test_summary_by_hand():
     numbers = jnp.asarray([0.5, 0.1, 0.6])
