@@ -1,4 +1,4 @@
-"""The left panel: how step sizes are chosen, and what it keeps of its runs."""
+"""The left panel: how step sizes are selected, and what is kept of its runs."""
 
 import gc
 import weakref
@@ -21,16 +21,17 @@ class TestTuning:
         tuning = Tuning((0.1, 0.2, 0.4), test_tasks=7)
         assert tuning.task.tolist() == [0, 0, 0, 1, 1, 1, 2]
         assert tuning.sizes.tolist() == [0.1, 0.2, 0.4, 0.1, 0.2, 0.4, 0.1]
-        assert tuning.of_tasks({"length": np.arange(7) + 10})["length"].tolist() == [10, 10, 10, 11, 11, 11, 12]
+        tasks = tuning.tasks_of_learners({"length": np.arange(7) + 10})
+        assert tasks["length"].tolist() == [10, 10, 10, 11, 11, 11, 12]
 
     def test_all_step_sizes_share_the_keys_of_a_task(self) -> None:
         keys = jax.random.split(jax.random.key(0), (2, 3, 7))
-        own = jax.random.key_data(Tuning((0.1, 0.2, 0.4), test_tasks=7).of_keys(keys))
+        own = jax.random.key_data(Tuning((0.1, 0.2, 0.4), test_tasks=7).keys_of_learners(keys))
         np.testing.assert_array_equal(own, jax.random.key_data(keys)[:, :, jnp.asarray([0, 0, 0, 1, 1, 1, 2])])
 
     def test_the_run_that_is_left_over_is_not_counted(self) -> None:
         scores = np.arange(2 * 7 * 4.0).reshape(2, 1, 7, 4)
-        told = Tuning((0.1, 0.2, 0.4), test_tasks=7).by_size(scores)
+        told = Tuning((0.1, 0.2, 0.4), test_tasks=7).by_step_size(scores)
         assert told.shape == (2, 1, 2, 3, 4)
         np.testing.assert_array_equal(told[1, 0, 1, 2], scores[1, 0, 5])
 
@@ -40,7 +41,7 @@ class TestTuning:
 
 
 class States:
-    """Of the learners of a run, gigabytes on maps."""
+    """The learners' states are dropped: on maps they are gigabytes."""
 
 
 def test_states_of_finished_runs_are_let_go(monkeypatch):

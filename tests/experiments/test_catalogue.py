@@ -1,4 +1,4 @@
-"""The registry of experiments: what options make of their settings, what is refused, and how one is reproduced."""
+"""The registry of experiments: how options change settings, what is refused, and how one is reproduced."""
 
 import io
 import json
@@ -11,7 +11,7 @@ from rich.console import Console
 from upslope.errors import UpslopeError
 from upslope.experiments.catalogue import EXPERIMENTS, reproduce
 from upslope.experiments.experiment import Experiment, Options
-from upslope.experiments.maps.readings import stage
+from upslope.experiments.maps.readings import training_title
 from upslope.experiments.results import write_json
 
 OF_MAPS = {"fig2", "fig3", "fig4", "fig5", "grid-readings", "grid-precisions"}
@@ -36,7 +36,7 @@ class TestSettings:
         assert planned(name, is_quick=is_quick).settings == (experiment.quick(full) if is_quick else full)
 
     def test_the_description_is_plain_and_names_the_panels_of_a_figure(self, name, is_quick):
-        described = json.loads(json.dumps(planned(name, is_quick=is_quick).described()))
+        described = json.loads(json.dumps(planned(name, is_quick=is_quick).description()))
         assert tuple(described.pop("panels", ())) == PANELS.get(name, ())
         assert {"seeds", "tasks", "first_seed"} <= described.keys()
 
@@ -59,11 +59,11 @@ class TestRefusals:
 
     @pytest.mark.parametrize("options", [{"seeds": 0}, {"tasks": -1}])
     def test_counts_below_one(self, name, options):
-        with pytest.raises(UpslopeError, match="make no figure: give at least 1"):
+        with pytest.raises(UpslopeError, match="A figure needs at least 1 of"):
             planned(name, **options)
 
     def test_no_panels(self, name):
-        with pytest.raises(UpslopeError, match=r"leave --panels out|needs a panel: choose among left"):
+        with pytest.raises(UpslopeError, match=r"leave out --panels|needs at least one panel: choose from left"):
             planned(name, panels=())
 
 
@@ -72,23 +72,23 @@ def test_panels_are_made_as_they_are_asked_for():
     assert planned("fig3", panels=("right", "left")).panels == ("right", "left")
     assert planned("fig3").panels == ("left", "right")
     for asked in (("middle",), ("right", "middle")):
-        with pytest.raises(UpslopeError, match="fig3 has no middle panel: choose among left, right"):
+        with pytest.raises(UpslopeError, match="fig3 has no middle panel: choose from left, right"):
             planned("fig3", panels=asked)
     assert planned("deviations").panels == ()
-    with pytest.raises(UpslopeError, match="deviations has no panels to choose among: leave --panels out"):
+    with pytest.raises(UpslopeError, match="deviations has no panels: leave out --panels"):
         planned("deviations", panels=("right",))
 
 
 @pytest.mark.parametrize(("figure", "begins_as"), [("fig3", "fig2"), ("fig5", "fig4")])
 def test_figures_on_maps_share_all_trainings_of_the_one_before(figure, begins_as):
     before = planned(begins_as).settings
-    assert set(planned(figure).trainings) == {stage(before.maps, reading) for reading in before.readings}
-    assert planned(figure, panels=("left",)).trainings == (stage(before.maps, "algorithm1"),), "no control"
+    assert set(planned(figure).trainings) == {training_title(before.maps, reading) for reading in before.readings}
+    assert planned(figure, panels=("left",)).trainings == (training_title(before.maps, "algorithm1"),), "no control"
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Of the experiment below."""
+    """Settings of the experiment below."""
 
     seeds: int = 2
     tasks: int = 5
@@ -97,7 +97,7 @@ class Settings:
 
 @pytest.fixture
 def sessions(monkeypatch):
-    """Every session in which an experiment ran that computes nothing; "stub" takes priors."""
+    """The sessions of an experiment that computes nothing; "stub" can reuse priors."""
     seen = []
 
     def run(plan, session):
@@ -109,14 +109,14 @@ def sessions(monkeypatch):
         quick=lambda settings: replace(settings, tasks=1),
         run=run,
         write=lambda results, folder: write_json(folder / "results.json", results),
-        tell=lambda results, folder, console: console.print(results["seeds"], "seeds in", folder.name),
+        summarise=lambda results, folder, console: console.print(results["seeds"], "seeds in", folder.name),
         trainings=lambda *_: ("a training",),
     )
     monkeypatch.setitem(EXPERIMENTS, "stub", stub)
     return seen
 
 
-def test_it_is_run_written_and_told(sessions, tmp_path):
+def test_it_is_run_written_and_summarised(sessions, tmp_path):
     console = Console(record=True, file=io.StringIO())
     reproduce("stub", out=tmp_path / "out", is_quick=True, seeds=3, first_seed=1, console=console)
     described = json.loads((tmp_path / "out" / "run.json").read_text())

@@ -1,4 +1,4 @@
-"""`upslope reproduce all`: what is run, in which order, and the page that leads to it."""
+"""`upslope reproduce all`: what is run, in which order, and the page that links to it."""
 
 import json
 
@@ -11,7 +11,7 @@ from upslope.experiments.catalogue import EXPERIMENTS
 
 
 class Runs:
-    """Stands in for `reproduce`: remembers how it was called, and writes what a chapter writes."""
+    """A fake `reproduce` that records its calls and writes what a chapter writes."""
 
     def __init__(self, fails_at=None):
         self.calls, self.priors_of, self.fails_at = [], {}, fails_at

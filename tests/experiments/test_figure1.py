@@ -1,4 +1,4 @@
-"""Figure 1 in miniature: what it writes, that it is the same twice, and that what it says follows from its numbers."""
+"""Figure 1 in miniature: what it writes, that it is deterministic, and that its report follows from its numbers."""
 
 import json
 from collections import Counter
@@ -45,7 +45,7 @@ def compiled() -> Counter[str]:
 
 @pytest.fixture(scope="module")
 def shown() -> list[FigureResult]:
-    """What could be seen of `result` before it was finished."""
+    """The unfinished figures that the session showed before `result` was complete."""
     return []
 
 
@@ -85,20 +85,20 @@ def test_the_same_command_twice_gives_the_same_bits(result: FigureResult) -> Non
 
 
 def test_one_program_serves_all_arms_seeds_and_repeats(result: FigureResult, compiled: Counter[str]) -> None:
-    """Compiling is what a user waits for: whoever makes a figure compile more finds it here."""
+    """Users wait for compiling, so this test limits the number of compiled programs."""
     assert len(result.panels) == 3
     # Priors, oracles, adaptation, DQN, DDPG.
     assert (compiled["_start_all"], compiled["_advance_all"]) == (5, 5)
     assert compiled["zero_shot_returns"] <= 1, "only once, and not if an earlier test did"
     assert compiled["mean_levels"] <= 1
-    # What is left is single operations outside of any program, some hundredths of a second each.
+    # The rest are single operations outside of any program, some hundredths of a second each.
     assert sum(compiled.values()) <= SMALL_PROGRAMS + 12
 
 
 def test_it_can_be_seen_after_each_panel_but_the_last(result: FigureResult, shown: list[FigureResult]) -> None:
-    seen = [(list(so_far.panels), so_far.to_come) for so_far in shown]
+    seen = [(list(so_far.panels), so_far.pending) for so_far in shown]
     assert seen == [(["left"], ("middle", "right")), (["left", "middle"], ("right",))]
-    assert result.to_come == ()
+    assert result.pending == ()
     for so_far in shown:
         assert all(panel is result.panels[name] for name, panel in so_far.panels.items())
         assert so_far.quick

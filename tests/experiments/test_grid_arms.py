@@ -1,4 +1,4 @@
-"""Potentials as tables over cells: the very numbers of the networks, and learners that can't tell the difference."""
+"""Potentials as tables over cells: the same numbers as the networks, and the same learners up to rounding."""
 
 import jax
 import jax.numpy as jnp
@@ -59,7 +59,7 @@ def test_arms():
         for cell, way in enumerate(distances(as_board(pick(MAPS, index))).ravel()):
             expected = 0.9 ** (way - 1) if way > 0 else 0.0
             assert values["oracle"][0, index, cell] == pytest.approx(expected, abs=1e-6)
-            # The way there is never shorter than rows and columns to go.
+            # The path is never shorter than the rows and columns to the goal.
             assert values["manhattan"][0, index, cell] >= expected - 1e-6
 
 
@@ -76,7 +76,7 @@ def test_the_level_is_the_mean_over_cells_that_count():
 
 
 def test_a_learner_shaped_by_the_table_is_one_shaped_by_the_network():
-    """F differs by rounding only; thirty updates may blow that up a little, no more."""
+    """F differs by rounding only; thirty updates may amplify this a little."""
     task = jax.tree.map(jnp.asarray, pick(MAPS, 0))
     config = DQNConfig(hidden=(8,), batch_size=8, warmup_steps=20, replay_capacity=64, learning_rate=1e-3)
     finished = []
@@ -90,7 +90,7 @@ def test_a_learner_shaped_by_the_table_is_one_shaped_by_the_network():
 
 
 def test_detours_by_hand():
-    """A wall of two cells between start and goal must be gone around."""
+    """A path must go around a wall of two cells between start and goal."""
     rows = read_map("S#G\n.#.\n...")
     maps = jax.tree.map(lambda leaf: leaf[None], rows)
     family = grid_games((3, 3))
@@ -117,5 +117,5 @@ def test_detours_lead_around_traps_at_any_discount():
 def test_slippery_maps_have_no_detours():
     family = grid_games((3, 3), slip=0.2)
     maps = draw(family, 2)
-    with pytest.raises(UpslopeError, match="Where moves slip no path is the shortest"):
+    with pytest.raises(UpslopeError, match="Where moves slip there is no shortest path"):
         mean_detours(family, truths(family.env, maps, family.gamma), maps)

@@ -1,4 +1,4 @@
-"""Figures 3 and 5 in miniature: what they write, that they are the same twice, and which maps they use."""
+"""Figures 3 and 5 in miniature: what they write, that they are deterministic, and which maps they use."""
 
 import json
 from dataclasses import replace
@@ -60,7 +60,7 @@ class TestSettings:
 
     @pytest.mark.parametrize("settings", [{"seeds": 0}, {"tasks": 0}])
     def test_nothing_makes_no_figure(self, settings):
-        with pytest.raises(UpslopeError, match="make no figure"):
+        with pytest.raises(UpslopeError, match="A figure needs at least 1 seed and 1 map"):
             replace(full_grid_figure("clean"), **settings)
 
     def test_no_iterations_teach_nothing(self):
@@ -146,9 +146,9 @@ class TestRun:
     def test_the_same_again_gives_the_same_bits(self, folder):
         shown = []
         again = grid_figure(TINY, session=Session(show=shown.append))
-        assert [(list(so_far.panels), so_far.to_come) for so_far in shown] == [(["right"], ("left",))]
+        assert [(list(so_far.panels), so_far.pending) for so_far in shown] == [(["right"], ("left",))]
         assert shown[0].panels["right"] is again.panels["right"]
-        assert (list(again.panels), again.to_come) == (["left", "right"], ())
+        assert (list(again.panels), again.pending) == (["left", "right"], ())
         returns = np.load(folder / "returns.npz")
         for name, panel in again.panels.items():
             for arm, curves in panel.arms.items():

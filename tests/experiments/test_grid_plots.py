@@ -1,4 +1,4 @@
-"""Pictures of maps: every number, colour and arrow stands in the cell that it belongs to."""
+"""Pictures of maps: every number, colour and arrow is in its cell."""
 
 from typing import ClassVar
 
@@ -105,7 +105,7 @@ def test_arrows_point_where_the_best_action_leads(learned):
 
 
 class TestTheWholePicture:
-    """Of a map with a V that is nowhere right and a best action that differs between cells."""
+    """A picture of a map with a V that is wrong everywhere and a best action that differs between cells."""
 
     #: Cells 0, 1 and 4 count; V* there is 0.81, 0.9 and 1.
     value = np.asarray([0.5, 1.2, 9.0, 9.0, 0.7, 9.0], np.float32)

@@ -1,4 +1,4 @@
-"""Which priors of grid games are learned: each reading differs from the recipe in what it says, and in nothing else."""
+"""The priors of grid games: each reading differs from the recipe in what its label says, and in nothing else."""
 
 import base64
 import dataclasses
@@ -16,9 +16,16 @@ from upslope.tasks import obstacle_maps
 
 
 def what_changes(readings):
-    recipe = dataclasses.asdict(readings["algorithm1"].config)
+    """The settings of each reading that differ from the recipe's, those of its posterior included."""
+
+    def flat(config):
+        settings = dataclasses.asdict(config)
+        posterior = settings.pop("posterior")
+        return {"normalised_steps": False, "posterior": posterior.pop("name")} | settings | posterior
+
+    recipe = flat(readings["algorithm1"].config)
     return {
-        name: {key for key, value in dataclasses.asdict(config).items() if value != recipe[key]}
+        name: {key for key, value in flat(config).items() if value != recipe[key]}
         for name, (_, config) in readings.items()
     }
 
@@ -46,7 +53,7 @@ def test_precisions_change_nothing_else():
 
 
 def test_readings_of_other_lengths_are_drawn_beside_each_other(tmp_path):
-    """Eleven of them, the last of half as many iterations; single maps would only be a cloud."""
+    """Eleven readings, the last with half as many iterations; there is no panel of single maps."""
     curves = {measure: {"mean": [[0.1, 0.5, 0.9], [0.2, 0.6, 0.8]]} for measure in TITLES}
     rows = {f"reading {number}": {"what": f"no. {number}", "iterations": [0, 10, 20], "measures": curves,
                                   "maps": {"rank_correlation": [[0.5]]}} for number in range(11)}  # fmt: skip
@@ -78,7 +85,7 @@ AIMS = {"rank_correlation": 0.95, "success": 0.4}
 
 
 class TestPage:
-    """Two seeds of Algorithm 1 beside one of its control."""
+    """Two seeds of Algorithm 1 and one of its control."""
 
     def test_rows_are_means_with_the_lowest_and_highest_seed(self):
         ours, theirs = prior_rows(RESULTS)
@@ -94,8 +101,8 @@ class TestPage:
 
     def test_aims_are_met_or_missed(self):
         assert about_aims(RESULTS, AIMS) == [
-            "Rank correlation of V with V*: 0.9500 with Algorithm 1, the aim of 0.95 met.",
-            "Zero-shot success: 0.3750 with Algorithm 1, the aim of 0.4 missed.",
+            "Rank correlation of V with V*: 0.9500 with Algorithm 1 (aim: 0.95, reached).",
+            "Zero-shot success: 0.3750 with Algorithm 1 (aim: 0.4, missed).",
         ]
 
     def test_the_page_holds_the_pictures_that_are_there(self, tmp_path):
@@ -107,9 +114,9 @@ class TestPage:
         assert pictures == ["figure.png", "map.png", "sheet.png"]
         assert "<h1>Figure &lt;4&gt;</h1>" in page
         assert "<td>φ &lt;b&gt;</td><td>61</td>" in page
-        assert "the aim of 0.4 missed" in page
-        assert "2 of each kind, and measured exactly on 10 maps" in page
-        assert "Seeds from 3 on." in page
+        assert "(aim: 0.4, missed)" in page
+        assert "2 of each kind, and measured exactly on 10 unseen maps" in page
+        assert "First seed: 3." in page
         assert "quick form" not in page
         write_prior_report("Figure 4", {**RESULTS, "quick": True}, AIMS, tmp_path)
         assert "quick form" in (tmp_path / "report.html").read_text(encoding="utf-8")

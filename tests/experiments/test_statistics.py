@@ -1,4 +1,4 @@
-"""How results are summed up: quartiles and interquartile means by hand, bootstrap intervals, first crossings."""
+"""Summary statistics: quartiles and interquartile means by hand, bootstrap intervals, first crossings."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ class TestBootstrap:
         assert np.all(unsure.high - unsure.low < sure.high - sure.low)
 
     def test_it_is_stratified_by_task(self):
-        # Tasks differ hugely, seeds not at all: resampling seeds within tasks finds no doubt, resampling runs would.
+        # Tasks differ greatly, seeds do not: resampling seeds within tasks gives no width, resampling runs would.
         scores = np.broadcast_to(np.array([0.0, 50.0, 100.0])[None, :, None], (5, 3, 1)).copy()
         interval = bootstrap(scores, samples=50)
         assert interval.low[0] == interval.iqm[0] == interval.high[0]
@@ -164,7 +164,7 @@ class TestPairedShortfall:
         assert shortfall.of_seeds == pytest.approx([25.0, 25.0])
 
     def test_it_is_of_means_and_not_a_mean_of_percents(self):
-        # One task earns 1 instead of 2, the other 8 as before: a tenth is missing of all, half of the first.
+        # One task earns 1 instead of 2, the other 8 as before: a tenth of the sum is missing, and half of the first.
         ours, theirs = np.array([1.0, 8.0]).reshape(1, 2, 1), np.array([2.0, 8.0]).reshape(1, 2, 1)
         shortfall = paired_shortfall(ours, theirs)
         assert (shortfall.percent, shortfall.low, shortfall.high) == pytest.approx((10.0, 0.0, 50.0))

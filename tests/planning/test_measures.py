@@ -1,4 +1,4 @@
-"""Measures: by hand, against scipy, and against episodes that are really played."""
+"""Measures: by hand, against scipy, and against simulated episodes."""
 
 import equinox as eqx
 import jax
@@ -136,7 +136,7 @@ class TestNetworks:
 
 
 class Scores(eqx.Module):
-    """A 'network' that knows only where it stands."""
+    """A 'network' that uses only the current position."""
 
     q: jax.Array
 
@@ -145,6 +145,9 @@ class Scores(eqx.Module):
 
     def value(self, obs):
         return jnp.max(self(obs))
+
+    def best(self, obs):
+        return jnp.argmax(self(obs))
 
 
 def test_summary_by_hand():

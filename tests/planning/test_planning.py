@@ -1,4 +1,4 @@
-"""Exact planning: by hand, against breadth-first distances, against the referee of the theorems, and in bulk."""
+"""Exact planning: by hand, against breadth-first distances, against the reference planner, and on many maps."""
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ GAMMA = 0.9
 
 
 def table(mdp) -> TabularMDP:
-    """A random MDP of the referee in upslope's form: every state is an outcome of every action."""
+    """A random MDP of the reference planner as upslope's tables: every state is an outcome of every action."""
     states, actions = mdp.chances.shape[:2]
     return TabularMDP(
         jnp.broadcast_to(jnp.arange(states), (states, actions, states)),
@@ -69,7 +69,7 @@ class TestByHand:
         assert float(found.value[1]) == 0.0, "nothing can be done in a trap"
 
     def test_a_slippery_corridor(self):
-        # Up and down stay in a corridor of one row, so a slip costs just time: V = (1 − p)/(1 − γp) one step away.
+        # In a corridor of one row up and down do not move, and a slip costs time: one step away V = (1 − p)/(1 − γp).
         one = read_map("S.G", slip=0.4)
         found = value_iteration(tabulate(GridGame(1, 3, slippery=True), one, GAMMA))
         ahead = 0.6 / (1 - 0.4 * GAMMA)

@@ -1,4 +1,4 @@
-"""Exact planning where values are small: long corridors, small γ, traps beside them, and sums that cancel."""
+"""Exact planning with small values: long corridors, small γ, traps next to them, and sums that cancel."""
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ class TestACorridorOf200Cells:
         np.testing.assert_allclose(known.solution.value[:199], 0.9 ** (STEPS - 1.0), rtol=3e-5)
         np.testing.assert_array_equal(best_actions(known.solution.action_value)[:199], ONLY_RIGHT)
         np.testing.assert_array_equal(known.states, np.arange(200) < 199)
-        # 199 to spread, one to see that nothing changes.
+        # 199 iterations to spread, and one to see that nothing changes.
         assert (int(known.solution.iterations), float(known.solution.residual)) == (200, 0)
 
     def test_a_policy_s_value_does_too(self):
@@ -49,7 +49,7 @@ class TestACorridorOf200Cells:
         np.testing.assert_array_equal(best_actions(found.action_value)[:199], ONLY_RIGHT)
 
     def test_with_slippery_moves(self):
-        # As in a short one: each step ahead costs a factor of γ·(1 − p)/(1 − γp).
+        # As in a short corridor: each step ahead costs a factor of γ·(1 − p)/(1 − γp).
         one = read_map("S" + 198 * "." + "G", slip=0.4)
         found = value_iteration(tabulate(GridGame(1, 200, slippery=True), one, 0.9))
         ahead = 0.6 / (1 - 0.4 * 0.9)
@@ -93,7 +93,7 @@ def test_more_cells_than_iterations_are_granted_otherwise(monkeypatch):
 
 
 def test_sums_that_cancel_come_to_an_end():
-    """With Φ = V* all values are zero but for rounding, of which no share can be asked for."""
+    """With Φ = V* all values are zero up to rounding, so a relative tolerance has no meaning."""
     family = grid_games((6, 6), traps=0.1, slip=0.2)
     mdp = tabulate(family.env, pick(draw(family, 1), 0), 0.9)
     found = value_iteration(mdp)
@@ -105,7 +105,7 @@ def test_sums_that_cancel_come_to_an_end():
 
 
 def test_values_that_shrink_for_good_end_at_the_limit():
-    """Staying earns nothing for ever; leaving earns 1 at once and loses 0.2 in every step from then on.
+    """Staying earns nothing forever; leaving earns 1 at once and loses 0.2 in every later step.
 
     With n steps to go, staying until the last and then leaving is worth γ^(n − 1), in the limit nothing.
     """
@@ -124,7 +124,7 @@ def test_values_that_shrink_for_good_end_at_the_limit():
 
 
 def test_where_one_can_earn():
-    # In the trap and at the goal nothing can be done; from behind the wall there is no way.
+    # The agent does not act in the trap and at the goal; behind the wall there is no path.
     mdp = tabulate(GridGame(1, 6, traps=True), read_map("TS.G#."), 0.9)
     np.testing.assert_array_equal(can_earn(mdp), [False, True, True, False, False, False])
     np.testing.assert_array_equal(steps_to_reward(mdp), [-1, 2, 1, -1, -1, -1])

@@ -1,4 +1,4 @@
-"""Which experiments there are, and how one is reproduced: run, written, drawn, told."""
+"""All experiments by name, and how one is reproduced: run, written, drawn and summarised."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,7 +20,7 @@ from upslope.run.checkpoints import adopt
 from upslope.run.folder import claim
 from upslope.run.session import session_in
 
-#: By the name that `upslope reproduce` knows: the paper's figures and theorems, then what is beside them.
+#: By the name that `upslope reproduce` takes: the paper's figures and theorems, then further studies.
 EXPERIMENTS: dict[str, Experiment[Any, Any]] = {
     "fig1": FIGURE_1,
     "fig2": priors_study("Figure 2: learned V on clean maps", partial(grid_priors, "clean")),
@@ -49,36 +49,36 @@ def reproduce(
     resume: bool = False,
     console: Console | None = None,
 ) -> None:
-    """Runs an experiment into an empty folder, and sums it up on the console.
+    """Runs an experiment into an empty folder and prints a summary.
 
     Args:
         experiment: one of `EXPERIMENTS`: a figure of the paper, its theorems, or a study.
         out: the folder; a new one under ``runs/`` if None.
-        is_quick: the quick form.
-        seeds: how many; the experiment's own number if None.
-        tasks: how many unseen tasks; the experiment's own number if None.
-        first_seed: other seeds and other test tasks.
-        panels: of the figure; all that it has if None. Maps have no middle one.
-        iterations: of meta-training, where maps are learned over; the recipe's own number if None.
-        priors_of: folder of fig2 (for fig3) or fig4 (for fig5), whose priors are taken instead of trained anew.
-        resume: go on with the run in ``out``, started with the same settings.
-        console: where the summary goes.
+        is_quick: run the quick form.
+        seeds: the number of seeds; the experiment's default if None.
+        tasks: the number of unseen tasks; the experiment's default if None.
+        first_seed: selects other seeds and other test tasks.
+        panels: panels of the figure; all of them if None. Figures on maps have no middle panel.
+        iterations: iterations of meta-training on maps; the recipe's default if None.
+        priors_of: folder of fig2 (for fig3) or fig4 (for fig5), whose priors are used instead of training new ones.
+        resume: continue the run in ``out``, which was started with the same settings.
+        console: where the summary is printed.
 
     Raises:
-        UpslopeError: an unknown experiment or panel, options that the experiment does not have, a folder that holds
-            something (or, to be resumed, no such run), or counts below one.
+        UpslopeError: the experiment or a panel is unknown, the experiment does not have an option, the folder is not
+            empty (or holds no run to resume), or a count is below one.
     """
     if experiment not in EXPERIMENTS:
-        raise UpslopeError(f"There is no figure {experiment!r}: choose one of {', '.join(EXPERIMENTS)} or all.")
-    chosen = EXPERIMENTS[experiment]
-    plan = chosen.plan(experiment, Options(is_quick, seeds, tasks, first_seed, panels, iterations, priors_of))
-    with claim(out, experiment, plan.described(), resume=resume) as folder:
+        raise UpslopeError(f"There is no experiment {experiment!r}: choose one of {', '.join(EXPERIMENTS)} or all.")
+    definition = EXPERIMENTS[experiment]
+    plan = definition.plan(experiment, Options(is_quick, seeds, tasks, first_seed, panels, iterations, priors_of))
+    with claim(out, experiment, plan.description(), resume=resume) as folder:
         if priors_of is not None:
             adopt(plan.trainings, priors_of, folder)
         session = session_in(folder, resume=resume or priors_of is not None, final_states=False)
-        if (show := chosen.show) is not None:
-            progress = Console(stderr=True)  # where progress bars are; what is said at the end goes elsewhere
+        if (show := definition.show) is not None:
+            progress = Console(stderr=True)  # where progress bars are; the summary at the end goes elsewhere
             session = replace(session, show=lambda results: show(results, folder, progress))
-        results = chosen.run(plan, session)
-        chosen.write(results, folder)
-    chosen.tell(results, folder, console or Console())
+        results = definition.run(plan, session)
+        definition.write(results, folder)
+    definition.summarise(results, folder, console or Console())

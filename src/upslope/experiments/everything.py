@@ -1,4 +1,4 @@
-"""Every figure of the paper and its theorems, one after the other, and one page that leads to all of them."""
+"""All figures and theorems of the paper, one after the other, and one page that links to them."""
 
 import html
 import io
@@ -12,7 +12,7 @@ from upslope.experiments.catalogue import reproduce
 from upslope.run.folder import claim
 from upslope.storage import write_atomically
 
-#: What is reproduced, and what its section of the page is called.
+#: The experiments, and the titles of their sections of the page.
 CHAPTERS: dict[str, str] = {
     "theorems": "The theorems, on thousands of maps",
     "fig1": "Figure 1: CartPoles",
@@ -22,10 +22,10 @@ CHAPTERS: dict[str, str] = {
     "fig5": "Figure 5: adaptation and shaping on maps with obstacles",
 }
 
-#: Whose priors a chapter begins with, so that they are trained once.
+#: The chapter whose priors a chapter reuses, so that they are trained once.
 PRIORS_OF = {"fig3": "fig2", "fig5": "fig4"}
 
-#: What is shown of a chapter and linked from it, where it is there.
+#: Pictures and files of a chapter that the page shows or links to, if they exist.
 PICTURES = ("figure.png", "map.png", "sheet.png")
 FILES = ("report.html", "tables.md", "results.json", "returns.npz", "maps.npz")
 
@@ -38,28 +38,28 @@ def reproduce_all(
     resume: bool = False,
     console: Console | None = None,
 ) -> None:
-    """Reproduces each chapter into a folder of its own, and writes report.html beside them after each.
+    """Reproduces each chapter into its own folder, and writes report.html next to these folders after each.
 
     Args:
         out: the folder; a new one under ``runs/`` if None.
-        is_quick: the quick forms.
-        first_seed: other seeds and other test tasks.
-        resume: go on with the run in ``out``, started with the same settings.
-        console: where the summaries go.
+        is_quick: run the quick forms.
+        first_seed: selects other seeds and other test tasks.
+        resume: continue the run in ``out``, which was started with the same settings.
+        console: where the summaries are printed.
 
     Raises:
-        UpslopeError: what `reproduce` raises.
+        UpslopeError: as in `reproduce`.
     """
     console = console or Console()
     settings: dict[str, Any] = {"is_quick": is_quick, "first_seed": first_seed}
     with claim(out, "all", settings, resume=resume) as folder:
-        told: dict[str, tuple[str, float]] = {}
+        summaries: dict[str, tuple[str, float]] = {}
         for name, title in CHAPTERS.items():
             console.rule(title)
             record = Console(record=True, width=110, file=io.StringIO())
-            began = time.perf_counter()
+            start = time.perf_counter()
             chapter = folder / name
-            begun = resume and (chapter / "run.json").is_file()
+            is_started = resume and (chapter / "run.json").is_file()
             priors_of = folder / PRIORS_OF[name] if name in PRIORS_OF else None
             reproduce(
                 name,
@@ -67,28 +67,28 @@ def reproduce_all(
                 is_quick=is_quick,
                 first_seed=first_seed,
                 priors_of=priors_of,
-                resume=begun,
+                resume=is_started,
                 console=record,
             )
-            told[name] = record.export_text(), time.perf_counter() - began
-            console.print(told[name][0], highlight=False)
-            write_atomically(folder / "report.html", _page(folder, told, is_quick).encode())
-    console.print(f"[bold]{folder / 'report.html'}[/bold] leads to it all.")
+            summaries[name] = record.export_text(), time.perf_counter() - start
+            console.print(summaries[name][0], highlight=False)
+            write_atomically(folder / "report.html", _page(folder, summaries, is_quick).encode())
+    console.print(f"[bold]{folder / 'report.html'}[/bold] links to all results.")
 
 
-def _page(folder: Path, told: dict[str, tuple[str, float]], is_quick: bool) -> str:
+def _page(folder: Path, summaries: dict[str, tuple[str, float]], is_quick: bool) -> str:
     quick = "<p class='quick'>These are the quick forms: too small to say anything about the paper.</p>"
-    sections = "\n".join(_section(folder, name, *summary) for name, summary in told.items())
-    contents = "\n".join(f"<li><a href='#{name}'>{html.escape(CHAPTERS[name])}</a></li>" for name in told)
+    sections = "\n".join(_section(folder, name, *summary) for name, summary in summaries.items())
+    contents = "\n".join(f"<li><a href='#{name}'>{html.escape(CHAPTERS[name])}</a></li>" for name in summaries)
     return _PAGE.format(quick=quick if is_quick else "", contents=contents, sections=sections)
 
 
 def _section(folder: Path, name: str, summary: str, seconds: float) -> str:
-    def there(names: tuple[str, ...]) -> list[str]:
+    def existing(names: tuple[str, ...]) -> list[str]:
         return [f"{name}/{file}" for file in names if (folder / name / file).is_file()]
 
-    pictures = "\n".join(f"<a href='{path}'><img alt='{path}' src='{path}'></a>" for path in there(PICTURES))
-    links = " · ".join(f"<a href='{path}'>{path}</a>" for path in there(FILES))
+    pictures = "\n".join(f"<a href='{path}'><img alt='{path}' src='{path}'></a>" for path in existing(PICTURES))
+    links = " · ".join(f"<a href='{path}'>{path}</a>" for path in existing(FILES))
     return (
         f"<h2 id='{name}'>{html.escape(CHAPTERS[name])}</h2>\n<p>{links} · {seconds:.0f} s</p>\n"
         f"{pictures}\n<pre>{html.escape(summary)}</pre>"

@@ -1,4 +1,4 @@
-"""What an experiment is, and how what a user asks for changes its settings or is refused."""
+"""What an experiment is, and how a user's options change its settings or are refused."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -19,16 +19,16 @@ Results = TypeVar("Results")
 
 @dataclass(frozen=True)
 class Options:
-    """What a user may ask for; None leaves it to the experiment.
+    """A user's options; None means the experiment's default.
 
     Attributes:
-        is_quick: the quick form.
-        seeds: how many.
-        tasks: how many unseen ones.
-        first_seed: how far the seeds are moved; the test tasks move along.
-        panels: of a figure.
-        iterations: of meta-training.
-        priors_of: the folder of another figure, whose priors are taken instead of trained anew.
+        is_quick: run the quick form.
+        seeds: the number of seeds.
+        tasks: the number of unseen tasks.
+        first_seed: an offset of all seeds; it changes the test tasks too.
+        panels: panels of a figure.
+        iterations: iterations of meta-training.
+        priors_of: the folder of another figure, whose priors are used instead of training new ones.
     """
 
     is_quick: bool = False
@@ -45,10 +45,10 @@ class Plan(Generic[Settings]):
     """One run of an experiment, with all options applied.
 
     Attributes:
-        settings: of the run.
-        panels: those of a figure that are made, in the order asked for.
+        settings: the settings of the run.
+        panels: the panels of a figure to be made, in the order of the options.
         is_quick: whether this is the quick form.
-        trainings: titles of those that another run may have done already.
+        trainings: titles of the trainings that another run may already have done.
     """
 
     settings: Settings
@@ -56,49 +56,49 @@ class Plan(Generic[Settings]):
     is_quick: bool = False
     trainings: tuple[str, ...] = ()
 
-    def described(self) -> dict[str, Any]:
-        """What decides the results, as the folder of the run keeps it."""
+    def description(self) -> dict[str, Any]:
+        """Everything that determines the results, as the folder of the run stores it."""
         settings: Any = self.settings
         return {**({"panels": self.panels} if self.panels else {}), **asdict(settings)}
 
 
 @dataclass(frozen=True)
 class Experiment(Generic[Settings, Results]):
-    """One experiment: settings, a run, its files, and what is said of it at the end.
+    """One experiment: its settings, how it runs, the files it writes, and its summary.
 
     Attributes:
         full: makes the full form's settings: a dataclass with ``seeds``, ``tasks`` and ``first_seed``.
-        quick: the quick form of them.
-        run: computes everything, and writes nothing but logs and checkpoints.
-        write: writes the results into the folder of the run, over what is there: that is of the same run.
-        tell: sums them up on a console, when the folder is free again.
-        with_iterations: makes the full form's settings for so many iterations of meta-training; None where their
-            number is fixed.
-        panels: that it has; none where it is no figure with panels.
-        trainings: titles of those that another figure begins with too, for some panels; None where there are none.
-        show: writes a picture of results that are not complete yet, and says on a console where; None where there
-            is nothing to be seen before the end.
+        quick: makes the quick form's settings from the full form's.
+        run: computes all results; writes only logs and checkpoints.
+        write: writes the results into the folder of the run, over earlier files of the same run.
+        summarise: prints a summary on a console, when the folder is no longer locked.
+        with_iterations: makes the full form's settings for a given number of iterations of meta-training; None if
+            that number is fixed.
+        panels: the panels of a figure; empty if the experiment is not a figure with panels.
+        trainings: titles of the trainings that some panels share with another figure; None if there are none.
+        show: writes a picture of incomplete results and prints its path on a console; None if there is nothing to
+            show before the end.
     """
 
     full: Callable[[], Settings]
     quick: Callable[[Settings], Settings]
     run: Callable[[Plan[Settings], Session], Results]
     write: Callable[[Results, Path], None]
-    tell: Callable[[Results, Path, Console], None]
+    summarise: Callable[[Results, Path, Console], None]
     with_iterations: Callable[[int], Settings] | None = None
     panels: tuple[PanelName, ...] = ()
     trainings: Callable[[Settings, tuple[PanelName, ...]], tuple[str, ...]] | None = None
     show: Callable[[Results, Path, Console], None] | None = None
 
     def plan(self, name: str, options: Options) -> Plan[Settings]:
-        """What is to be run.
+        """The run that some options ask for.
 
         Args:
-            name: what the experiment is called where options are refused.
-            options: what was asked for.
+            name: the name of the experiment in error messages.
+            options: the user's options.
 
         Raises:
-            UpslopeError: options that there are none of here, or counts below one.
+            UpslopeError: the experiment does not have an option, or a count is below one.
         """
         self._check(name, options)
         if self.with_iterations is None or options.iterations is None:
@@ -108,7 +108,7 @@ class Experiment(Generic[Settings, Results]):
         settings = self.quick(settings) if options.is_quick else settings
         settings = replace(
             settings,
-            # Studies that tune have seeds of their own to start from.
+            # Studies that tune start from their own seeds.
             first_seed=settings.first_seed + options.first_seed,
             seeds=options.seeds or settings.seeds,
             tasks=options.tasks or settings.tasks,
@@ -118,18 +118,18 @@ class Experiment(Generic[Settings, Results]):
 
     def _check(self, name: str, options: Options) -> None:
         if options.iterations is not None and self.with_iterations is None:
-            raise UpslopeError(f"{name} has a fixed number of iterations: leave --iterations out.")
+            raise UpslopeError(f"{name} has a fixed number of iterations: leave out --iterations.")
         if options.priors_of is not None and self.trainings is None:
-            raise UpslopeError(f"{name} takes no priors of another figure: leave --priors-of out.")
+            raise UpslopeError(f"{name} takes no priors of another figure: leave out --priors-of.")
         for count in ("seeds", "tasks", "iterations"):
-            asked = getattr(options, count)
-            if asked is not None and asked < 1:
-                raise UpslopeError(f"{asked} {count} make no figure: give at least 1.")
+            number = getattr(options, count)
+            if number is not None and number < 1:
+                raise UpslopeError(f"A figure needs at least 1 of {count}, not {number}.")
         if options.panels is None:
             return
         if not self.panels:
-            raise UpslopeError(f"{name} has no panels to choose among: leave --panels out.")
-        lacking = [panel for panel in options.panels if panel not in self.panels]
-        if lacking or not options.panels:
-            what = f"has no {' and no '.join(lacking)} panel" if lacking else "needs a panel"
-            raise UpslopeError(f"{name} {what}: choose among {', '.join(self.panels)}.")
+            raise UpslopeError(f"{name} has no panels: leave out --panels.")
+        unknown = [panel for panel in options.panels if panel not in self.panels]
+        if unknown or not options.panels:
+            what = f"has no {' and no '.join(unknown)} panel" if unknown else "needs at least one panel"
+            raise UpslopeError(f"{name} {what}: choose from {', '.join(self.panels)}.")

@@ -37,31 +37,31 @@ def _write(result: FigureResult, folder: Path) -> None:
     write_report(result, folder)
 
 
-def _tell(result: FigureResult, folder: Path, console: Console) -> None:
+def _summarise(result: FigureResult, folder: Path, console: Console) -> None:
     print_summary(result, console)
-    console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; the picture is {folder / 'figure.png'}.")
+    console.print(f"[bold]{folder / 'report.html'}[/bold] has all results; the picture is {folder / 'figure.png'}.")
 
 
 def _show(result: FigureResult, folder: Path, console: Console) -> None:
     if (folder / "results.json").exists():
-        return  # a finished figure, made anew from its checkpoints, keeps the whole picture
+        return  # a finished figure that is made again from its checkpoints keeps its whole picture
     draw(result, folder)
     newest = list(result.panels)[-1]
     console.print(f"The {newest} panel is done: {folder / 'figure.png'} shows it.", highlight=False, soft_wrap=True)
 
 
-FIGURE_1 = Experiment(Figure1Config, quick, _run_on_poles, _write, _tell, panels=PANELS, show=_show)
+FIGURE_1 = Experiment(Figure1Config, quick, _run_on_poles, _write, _summarise, panels=PANELS, show=_show)
 
 
 def figure_on(maps: Maps) -> Experiment[GridFigureConfig, FigureResult]:
-    """Figure 3 on clean maps, Figure 5 on those with obstacles; both may begin with the priors of 2 or 4."""
+    """Figure 3 on clean maps, or Figure 5 on maps with obstacles; they can reuse the priors of Figure 2 or 4."""
     full = partial(full_grid_figure, maps)
     return Experiment(
         full,
         quick_grid_figure,
         _run_on_maps,
         _write,
-        _tell,
+        _summarise,
         with_iterations=full,
         panels=GRID_PANELS,
         trainings=lambda settings, panels: trainings(settings.maps, panels),

@@ -1,4 +1,4 @@
-"""Where the randomness of an experiment comes from: one key per purpose, so that no two ever share a draw."""
+"""The random keys of an experiment: one per purpose, so that no two purposes share random numbers."""
 
 from enum import IntEnum
 
@@ -9,7 +9,7 @@ from upslope.types import Key, Keys
 
 
 class Purpose(IntEnum):
-    """What a key is for. Test tasks are drawn by a key of their own, which nothing else sees."""
+    """What a key is for. Test tasks have their own key, which nothing else uses."""
 
     META_TRAINING = 0
     TEST_TASKS = 1

@@ -1,4 +1,4 @@
-"""Pages to read: one file that needs no other, with its pictures inside."""
+"""HTML reports: one file with its pictures embedded."""
 
 import base64
 import html
@@ -11,8 +11,8 @@ def page(title: str, parts: Iterable[str], *, is_quick: bool) -> str:
 
     Args:
         title: plain text.
-        parts: HTML, one after the other.
-        is_quick: whether it is said that this is the quick form.
+        parts: pieces of HTML.
+        is_quick: whether the page says that these are results of the quick form.
     """
     quick = "<p class='quick'>This is the quick form: too small to say anything about the paper.</p>"
     body = "\n".join([quick, *parts] if is_quick else parts)
@@ -25,14 +25,14 @@ def bullets(sentences: Iterable[str]) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of plain cells, the first of each row to the left."""
+    """A table of plain cells; the first cell of each row is aligned left."""
     cells = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
     body = "\n".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     return f"<table><tr>{cells}</tr>\n{body}</table>"
 
 
 def picture(path: Path, what: str) -> str:
-    """A PNG file, embedded; what it shows is said where pictures can't be seen."""
+    """An embedded PNG file; ``what`` is its alternative text."""
     data = base64.b64encode(path.read_bytes()).decode()
     return f'<img alt="{html.escape(what)}" src="data:image/png;base64,{data}">'
 

@@ -15,7 +15,7 @@ from upslope.experiments.results import Arm, FigureResult, Panel, Score
 from upslope.experiments.statistics import quartiles
 from upslope.storage import write_atomically
 
-#: What each arm is called and drawn with; dashed arms are references, dotted ones are not policy-invariant.
+#: Label, colour and line of each arm; dashed arms are references, dotted ones are not policy-invariant.
 STYLES: dict[str, tuple[str, str, str]] = {
     "unshaped": ("no shaping", "#4d9221", "-"),
     "constant": ("constant potential", "#878787", "-"),
@@ -35,24 +35,24 @@ STYLES: dict[str, tuple[str, str, str]] = {
 
 
 def draw(result: FigureResult, folder: Path) -> None:
-    """Writes figure.png and figure.pdf: one row of panels, and one of how the left panel depends on the prior.
+    """Writes figure.png and figure.pdf: a row of panels, and a row that shows how the left one depends on the prior.
 
-    Of a figure with panels to come only figure.png, with room left for them: whoever looks sees it grow.
+    If panels are pending, only figure.png is written, with room left for them.
 
     Raises:
-        NotSavedError: the disk is full, or the folder is gone or read-only; an older picture is intact.
+        NotSavedError: the disk is full, or the folder is missing or read-only; an older picture stays intact.
     """
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         figure = _figure(result)
-        for kind in ("png",) if result.to_come else ("png", "pdf"):
-            drawn = io.BytesIO()
-            figure.savefig(drawn, format=kind, dpi=150)
-            write_atomically(folder / f"figure.{kind}", drawn.getvalue())
+        for kind in ("png",) if result.pending else ("png", "pdf"):
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=kind, dpi=150)
+            write_atomically(folder / f"figure.{kind}", buffer.getvalue())
         plt.close(figure)
 
 
 def _figure(result: FigureResult) -> Figure:
-    names = [name for name in PANELS if name in result.panels or name in result.to_come]
+    names = [name for name in PANELS if name in result.panels or name in result.pending]
     has_left = "left" in names
     has_discounted = all(
         "discounted_return" in arm.others for panel in result.panels.values() for arm in panel.arms.values()
@@ -64,24 +64,24 @@ def _figure(result: FigureResult) -> Figure:
         axis.axis("off")
     for column, name in enumerate(names):
         if name not in result.panels:
-            axes[0, column].text(0.5, 0.5, f"the {name} panel is to come", ha="center", color="#878787")
+            axes[0, column].text(0.5, 0.5, f"the {name} panel is not finished", ha="center", color="#878787")
             continue
-        draw_panel(_shown(axes[0, column]), result.panels[name])
+        draw_panel(_make_visible(axes[0, column]), result.panels[name])
         if has_discounted:
-            draw_discounted(_shown(axes[-1, column]), result.panels[name])
+            draw_discounted(_make_visible(axes[-1, column]), result.panels[name])
     if has_left:
         about_left = (draw_training, _draw_gains, _draw_steadiness) if "left" in result.panels else (draw_training,)
         for axis, draw_one in zip(axes[1], about_left, strict=False):
-            draw_one(_shown(axis), result)
-    said = ["Not finished yet"] if result.to_come else []
+            draw_one(_make_visible(axis), result)
+    warnings = ["Not finished yet"] if result.pending else []
     if result.quick:
-        said.append("Quick form: too few seeds, tasks and updates to say anything about the paper")
-    if said:
-        figure.suptitle("\n".join(said), color="#b2182b")
+        warnings.append("Quick form: too few seeds, tasks and updates to say anything about the paper")
+    if warnings:
+        figure.suptitle("\n".join(warnings), color="#b2182b")
     return figure
 
 
-def _shown(axis: Axes) -> Axes:
+def _make_visible(axis: Axes) -> Axes:
     axis.axis("on")
     return axis
 
@@ -99,13 +99,13 @@ def _draw_steadiness(axis: Axes, result: FigureResult) -> None:
 
 
 def draw_panel(axis: Axes, panel: Panel) -> None:
-    """Every arm over its updates: medians with the quartiles shaded, or interquartile means with their intervals."""
+    """All arms over their updates: medians and quartiles, or interquartile means and their 95 % intervals."""
     _draw_curves(axis, panel, panel.score.name, lambda arm: arm.summary)
     axis.set_ylim(_limits(panel.score))
 
 
 def draw_discounted(axis: Axes, panel: Panel) -> None:
-    """Discounted returns, which tell short ways from long ones, summed up as the panel's scores are."""
+    """Discounted returns, which distinguish short paths from long ones, summarised like the panel's scores."""
     _draw_curves(axis, panel, "discounted return", lambda arm: arm.summary["discounted_return"])
     axis.set_ylim(bottom=0)
 
@@ -120,7 +120,7 @@ def _draw_curves(axis: Axes, panel: Panel, name: str, curves: Callable[[Arm], di
 
 
 def _legend(axis: Axes) -> None:
-    """Below the axes: within them it would lie over some curve."""
+    """Below the axes: inside them it would cover some curve."""
     narrow: dict[str, Any] = {"columnspacing": 1.2, "handlelength": 1.6, "handletextpad": 0.6}
     axis.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, **narrow)
 
@@ -135,18 +135,18 @@ def _draw_curve(axis: Axes, name: str, updates: np.ndarray, middle: list, low: l
 
 
 def _limits(score: Score) -> tuple[float, float]:
-    return 0.0, 1.03 * score.top
+    return 0.0, 1.03 * score.maximum
 
 
 def draw_training(axis: Axes, result: FigureResult) -> None:
-    """The prior over its training: zero-shot return on extra training tasks, a line per seed."""
+    """The prior during its training: zero-shot return on extra training tasks, one line per seed."""
     score = next(iter(result.panels.values())).score
     iterations = np.asarray(result.training["iterations"])
     returns = np.asarray(result.training["returns"])
     axis.plot(iterations, returns.T, color="#b2182b", alpha=0.35, linewidth=0.9)
     axis.plot(iterations, np.median(returns, axis=0), color="#b2182b", linewidth=1.8, label="median of the seeds")
     axis.set(
-        title="The prior over its training",
+        title="The prior during its training",
         xlabel="meta-iterations",
         ylabel=f"zero-shot {score.name}",
         ylim=_limits(score),
@@ -155,7 +155,7 @@ def draw_training(axis: Axes, result: FigureResult) -> None:
 
 
 def draw_starts(axis: Axes, panel: Panel, measure: Callable[[Arm], float]) -> None:
-    """A measure of every arm against how long the prior that it started from was trained."""
+    """A measure of every arm against the training time of the prior that it started from."""
     stops = [int(stop) for stop in panel.variants]
     for name in panel.arms:
         label, colour, line = STYLES[name]

@@ -1,4 +1,4 @@
-"""The priors of a figure: meta-trained side by side, with their snapshots; and each task's oracle."""
+"""The priors of a figure, meta-trained in one program, with their snapshots; and an oracle for each task."""
 
 from typing import NamedTuple
 
@@ -20,14 +20,14 @@ from upslope.types import Keys, Task
 
 
 class Priors(NamedTuple):
-    """What meta-training with several seeds left behind.
+    """The priors of several seeds.
 
     Attributes:
         final: the priors ``[seeds, ...]``, each the best of its snapshots on extra training tasks.
-        snapshots: the priors as they stood at each of the iterations ``[seeds, snapshots, ...]``.
-        iterations: of the snapshots ``[snapshots]``.
-        returns: greedy returns on extra training tasks ``[seeds, snapshots]``.
-        chosen: the iteration that each prior was taken from ``[seeds]``.
+        snapshots: the priors at each of the iterations ``[seeds, snapshots, ...]``.
+        iterations: the iterations of the snapshots ``[snapshots]``.
+        returns: greedy returns of the snapshots on extra training tasks ``[seeds, snapshots]``.
+        chosen: the iteration of each prior's best snapshot ``[seeds]``.
     """
 
     final: DuelingQ
@@ -52,7 +52,7 @@ def meta_train_priors(
     allow_divergence: bool = False,
     until: int | None = None,
 ) -> Priors:
-    """Algorithm 1, one prior per seed, all in one program; ``until`` an iteration if no more is needed."""
+    """Algorithm 1, one prior per seed, all in one program; it stops at the iteration ``until`` if that is given."""
     outcome = run(
         broadcast(MetaTraining(family, config), (seeds,)),
         keys_for(first_seed, seeds, Purpose.META_TRAINING),
@@ -92,33 +92,33 @@ def oracles(
 def oracle_learners(
     family: JaxTasks, tasks: Task, config: MetaTrainingConfig, first_seed: int
 ) -> tuple[MetaTraining, Keys]:
-    """What learns the oracles, and with which keys ``[tasks]``."""
+    """The learners of the oracles, and their keys ``[tasks]``."""
     count = jax.tree.leaves(tasks)[0].shape[0]
     return MetaTraining(family.only(tasks), config), jax.random.split(key_for(first_seed, Purpose.ORACLE), count)
 
 
 def blank_priors(family: JaxTasks, config: MetaTrainingConfig, *batch: int) -> DuelingQ:
-    """Networks ``[*batch, ...]`` of the priors' shapes, all zero, for programs compiled before there are priors."""
+    """Networks ``[*batch, ...]`` of the priors' shapes, all zero, for programs compiled before the priors exist."""
     state = jax.eval_shape(MetaTraining(family, config).init, jax.random.key(0))
     return jax.tree.map(lambda leaf: np.zeros((*batch, *leaf.shape), leaf.dtype), state.average)
 
 
 def _best(outcome: Outcome, config: MetaTrainingConfig) -> DuelingQ:
-    """Of every learner its best snapshot ``[learners, ...]``."""
+    """The best snapshot of every learner ``[learners, ...]``."""
     best = np.asarray([config.best_snapshot(row) for row in outcome.reports["return"]])
     return jax.tree.map(lambda leaf: jnp.asarray(leaf[np.arange(len(best)), best]), outcome.reports["prior"])
 
 
 @jax.jit
 def mean_levels(family: JaxTasks, networks: DuelingQ, key: jax.Array) -> Float[Array, "seeds"]:
-    """Each prior's mean potential over the states that it visits on extra training tasks, ε-greedy with ε = 0.1."""
+    """Each prior's mean potential over the states that it visits ε-greedily (ε = 0.1) on extra training tasks."""
     task_key, reset_key, act_key = jax.random.split(key, 3)
     tasks = family.sample_many(task_key, 20)
 
     def level(network: DuelingQ) -> Float[Array, ""]:
         running = family.reset(reset_key, tasks)
-        _, seen = family.collect(act_key, tasks, running, EpsilonGreedy(network, 0.1), family.max_steps)
-        return jnp.mean(jax.vmap(jax.vmap(network.value))(seen.obs))
+        _, transitions = family.collect(act_key, tasks, running, EpsilonGreedy(network, 0.1), family.max_steps)
+        return jnp.mean(jax.vmap(jax.vmap(network.value))(transitions.obs))
 
     return jax.vmap(level)(networks)
 

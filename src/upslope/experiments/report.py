@@ -1,4 +1,4 @@
-"""What a figure says: a table in the terminal, and a page to read."""
+"""Reports of a figure: tables in the terminal, and an HTML page."""
 
 import html
 from pathlib import Path
@@ -16,9 +16,9 @@ from upslope.storage import write_atomically
 
 
 def print_summary(result: FigureResult, console: Console) -> None:
-    """One table per panel, then the sentences that the numbers allow."""
+    """Prints one table per panel, then the findings."""
     for panel in result.panels.values():
-        # Narrow: numbers stay whole where a terminal has 80 characters, and names of arms are broken between words.
+        # Narrow, for terminals of 80 characters: numbers stay whole, and names of arms break between words.
         rows = Table(title=panel.title, title_justify="left", box=None, padding=(0, 1, 0, 0))
         for column in columns(panel.score):
             rows.add_column(fill(column, 7, break_long_words=False), no_wrap=column != "arm")
@@ -30,15 +30,15 @@ def print_summary(result: FigureResult, console: Console) -> None:
 
 
 def columns(score: Score) -> tuple[str, ...]:
-    """The head of a panel's table."""
+    """The column headings of a panel's table."""
     firsts = (f"{goal} first at" for goal in score.goals)
     return ("arm", "start", "end", "lower quartile at end", "mean", "interquartile mean of runs (95 %)", *firsts)
 
 
 def panel_rows(panel: Panel) -> list[tuple[str, ...]]:
-    """The table of a panel: medians at the first and last evaluation, and when the top was first reached.
+    """The table of a panel: medians at the first and last evaluation, and when they first reached the goals.
 
-    Means are over all runs and evaluations; interquartile ones are of the runs' own means.
+    Means are over all runs and evaluations; interquartile means are over the means of the runs.
     """
     rows: list[tuple[str, ...]] = []
     digits = panel.score.digits
@@ -68,7 +68,7 @@ def _number(value: float, digits: int) -> str:
 
 
 def findings(result: FigureResult) -> list[str]:
-    """Sentences computed from the numbers; none is said that they do not bear out."""
+    """Sentences computed from the numbers."""
     sentences = [WORDING[result.name].about_priors(result.priors)]
     for panel in result.panels.values():
         sentences.append(
@@ -85,42 +85,42 @@ def findings(result: FigureResult) -> list[str]:
 
 
 def _about_differences(panel: Panel, whose: str, less: dict[str, dict[str, float]]) -> str:
-    said = [
+    gaps = [
         f"{STYLES[name][0]} {_with_interval(gap['mean'], gap['low'], gap['high'], digits=panel.score.digits + 1)}"
         for name, gap in less.items()
     ]
     return (
-        f"{panel.title}: {whose}'s mean {panel.score.name} less that of each other arm, with 95 % intervals over tasks "
-        f"and seeds: {'; '.join(said)}."
+        f"{panel.title}: {whose}'s mean {panel.score.name} minus that of each other arm, with 95 % intervals over "
+        f"tasks and seeds: {'; '.join(gaps)}."
     )
 
 
 def _about_the_oracle(panel: Panel, percent: float, low: float, high: float, of_seeds: list[float]) -> str:
     each = ", ".join(_number(one, 1) for one in sorted(of_seeds))
     return (
-        f"{panel.title}: with the prior the mean {panel.score.name} is {_with_interval(percent, low, high, digits=1)} "
-        f"percent below that with the oracle, over tasks and seeds; with the prior of each seed {each}."
+        f"{panel.title}: with the prior, the mean {panel.score.name} is {_with_interval(percent, low, high, digits=1)} "
+        f"percent below that with the oracle, over tasks and seeds; with the prior of each seed: {each}."
     )
 
 
 def _about_shaping(panel: Panel) -> str:
     means = {name: float(arm.returns.mean()) for name, arm in panel.arms.items()}
     digits = panel.score.digits
-    said = {name: f"{mean:.{digits}f}" for name, mean in means.items()}
-    told = [
-        f"{said['unshaped']} without shaping{_times(means, 'unshaped')}",
-        f"{said['constant']} with a constant potential{_times(means, 'constant')}",
+    texts = {name: f"{mean:.{digits}f}" for name, mean in means.items()}
+    controls = [
+        f"{texts['unshaped']} without shaping{_times(means, 'unshaped')}",
+        f"{texts['constant']} with a constant potential{_times(means, 'constant')}",
     ]
     others = {
-        "prior_ensemble": "the mean of the priors gives",
+        "prior_ensemble": "the mean of the priors",
         "multi_task_dqn": "the prior of multi-task DQN",
         "manhattan": "Manhattan distance",
         "oracle": "the oracle",
     }
-    rest = ", ".join(f"{words} {said[name]}" for name, words in others.items() if name in said)
+    rest = ", ".join(f"{words} {texts[name]}" for name, words in others.items() if name in texts)
     return (
-        f"{panel.title}: shaped by the prior, the mean {panel.score.name} over all evaluations is {said['prior']} "
-        f"against {' and '.join(told)}; {rest}."
+        f"{panel.title}: with the prior, the mean {panel.score.name} over all evaluations is {texts['prior']}, "
+        f"compared with {' and '.join(controls)}; {rest}."
     )
 
 
@@ -136,9 +136,10 @@ def _about_adaptation(panel: Panel, paper: str) -> str:
     if first is None and other is None:
         speed = f"neither Algorithm 2 nor MAML reaches a median of {goal:.0f}"
     else:
-        said = ["never" if update is None else str(update) for update in (first, other)]
+        our_update, their_update = ("never" if update is None else str(update) for update in (first, other))
         speed = (
-            f"the median first reaches {goal:.0f} at update {said[0]} with Algorithm 2 and {said[1]} with MAML{paper}"
+            f"updates until the median first reaches {goal:.0f}: {our_update} with Algorithm 2, {their_update} with "
+            f"MAML{paper}"
         )
     return (
         f"{panel.title}: {speed}; lower quartile at the end {ours['q1'][-1]:.{digits}f} and "
@@ -148,10 +149,10 @@ def _about_adaptation(panel: Panel, paper: str) -> str:
 
 
 def write_report(result: FigureResult, folder: Path) -> None:
-    """Writes report.html: the findings, the picture and the tables, in one file that needs no other.
+    """Writes report.html: the findings, the picture and the tables, in one file.
 
     Raises:
-        NotSavedError: the disk is full, or the folder is gone or read-only.
+        NotSavedError: the disk is full, or the folder is missing or read-only.
     """
     panels = list(result.panels.values())
     digits = panels[0].score.digits + 1
@@ -163,9 +164,9 @@ def write_report(result: FigureResult, folder: Path) -> None:
         bullets(findings(result)),
         picture(folder / "figure.png", words.title),
         *(f"<h2>{html.escape(panel.title)}</h2>\n{table(columns(panel.score), panel_rows(panel))}" for panel in panels),
-        f"<footer>Seeds from {result.configuration['first_seed']} on. {result.seconds_compiling:.0f} s compiling, "
-        f"{result.seconds_running:.0f} s running. Zero-shot mean of the priors {np.mean(means):.{digits}f}, lowest "
-        f"{min(means):.{digits}f}. All numbers are in results.json, all returns in returns.npz.</footer>",
+        f"<footer>First seed: {result.configuration['first_seed']}. {result.seconds_compiling:.0f} s compiling, "
+        f"{result.seconds_running:.0f} s running. Zero-shot mean of the priors: {np.mean(means):.{digits}f} (lowest "
+        f"{min(means):.{digits}f}). All numbers are in results.json, all returns in returns.npz.</footer>",
     ]
     text = page(words.title, parts, is_quick=result.quick)
     write_atomically(folder / "report.html", text.encode())

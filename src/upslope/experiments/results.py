@@ -1,4 +1,4 @@
-"""Results as data: curves of arms, panels and figures; written as returns.npz and results.json."""
+"""Results as data: the curves of arms, panels and figures, written as returns.npz and results.json."""
 
 import json
 from dataclasses import dataclass, field
@@ -17,24 +17,24 @@ from upslope.storage import write_atomically
 
 @dataclass(frozen=True)
 class Score:
-    """What the returns of a figure are.
+    """The meaning of a figure's returns.
 
     Attributes:
-        name: of one of them.
-        top: the highest there is.
-        goals: what the median is to reach, by name.
-        digits: that it is told with, after the point.
-        curves: what panels show: medians and quartiles, or, of scores that are 0 or 1, interquartile means.
+        name: what a return is called.
+        maximum: the maximum return.
+        goals: thresholds for the median, by name.
+        digits: digits after the point in tables.
+        curves: what panels show: medians and quartiles, or interquartile means, for scores that are 0 or 1.
     """
 
     name: str
-    top: float
+    maximum: float
     goals: dict[str, float]
     digits: int
     curves: Literal["median", "iqm"]
 
 
-#: Poles: steps until it fell, 200 at most.
+#: Poles: steps until the pole fell, at most 200.
 EPISODE_LENGTH = Score("return", 200.0, {"195": 195.0, "200": 200.0}, 0, "median")
 
 #: Maps: 1 where the greedy policy reaches the goal within an episode. A median of 1 means that most maps are solved.
@@ -46,11 +46,11 @@ class Arm:
     """One method in a comparison.
 
     Attributes:
-        updates: made before each evaluation ``[evaluations]``.
+        updates: the number of updates before each evaluation ``[evaluations]``.
         returns: raw greedy returns ``[seeds, tasks, evaluations]``.
-        notes: what was chosen for this arm, such as its step size.
-        score: what the returns are.
-        others: further measures, by name, of the returns' shape.
+        notes: what was selected for this arm, such as its step size.
+        score: the meaning of the returns.
+        others: further measures by name, with the shape of the returns.
     """
 
     updates: np.ndarray
@@ -72,7 +72,7 @@ class Arm:
 
 
 def differences(arms: dict[str, Arm], name: str) -> dict[str, dict[str, float]]:
-    """By how much one arm's mean over all evaluations is above each of the others'; none if it has no part."""
+    """One arm's mean over all evaluations minus that of each other arm; empty if the arm does not exist."""
     if name not in arms:
         return {}
     ours = arms[name].returns
@@ -80,14 +80,14 @@ def differences(arms: dict[str, Arm], name: str) -> dict[str, dict[str, float]]:
     return {other: paired_difference(ours, returns)._asdict() for other, returns in others.items()}
 
 
-def arm_of(updates: np.ndarray, reports: dict[str, Any], score: Score, notes: dict[str, Any] | None = None) -> Arm:
-    """An arm from what its learners reported, by name ``[seeds, tasks, evaluations]``."""
+def make_arm(updates: np.ndarray, reports: dict[str, Any], score: Score, notes: dict[str, Any] | None = None) -> Arm:
+    """An arm from its learners' reports, by name ``[seeds, tasks, evaluations]``."""
     measures = {name: np.asarray(values) for name, values in reports.items()}
     return Arm(updates, measures.pop("return"), notes or {}, score, measures)
 
 
 def _curves(values: Float[np.ndarray, "seeds tasks evaluations"]) -> dict[str, Any]:
-    """Over all runs, at each evaluation and over them."""
+    """Statistics over all runs, at each evaluation and over all evaluations."""
     middle, interval = quartiles(values), bootstrap(values)
     of_runs = bootstrap(values.mean(axis=-1, keepdims=True))
     return {
@@ -107,12 +107,12 @@ class Panel:
     """One comparison.
 
     Attributes:
-        title: above the panel.
-        arms: by name.
-        seconds_compiling: of all arms.
-        seconds_running: of all arms.
-        variants: the same comparison under other conditions, by name; such as other starting priors.
-        notes: what holds for the whole panel.
+        title: the title of the panel.
+        arms: the arms by name.
+        seconds_compiling: compile time of all arms.
+        seconds_running: running time of all arms.
+        variants: the same comparison under other conditions, by name, such as with other starting priors.
+        notes: further results of the whole panel.
     """
 
     title: str
@@ -124,24 +124,24 @@ class Panel:
 
     @property
     def score(self) -> Score:
-        """What the returns of all arms are."""
+        """The meaning of the returns of all arms."""
         return next(iter(self.arms.values())).score
 
 
 @dataclass(frozen=True)
 class FigureResult:
-    """All that a figure is drawn and told from.
+    """Everything that a figure's picture and report are made from.
 
     Attributes:
-        name: of the figure: what its page tells is found by it.
-        panels: by name.
+        name: the name of the figure, by which its wording is looked up.
+        panels: the panels by name.
         priors: one row per seed.
         training: ``iterations`` and ``returns`` of the meta-training.
-        configuration: everything that was set.
-        quick: whether this was the quick form, which says nothing about the paper.
-        seconds_compiling: of the whole figure.
-        seconds_running: of the whole figure.
-        to_come: names of the panels that are still to be made; none once it is finished.
+        configuration: all settings.
+        quick: whether this is the quick form, which says nothing about the paper.
+        seconds_compiling: compile time of the whole figure.
+        seconds_running: running time of the whole figure.
+        pending: names of the panels that are not finished; empty at the end.
     """
 
     name: str
@@ -152,7 +152,7 @@ class FigureResult:
     quick: bool
     seconds_compiling: float
     seconds_running: float
-    to_come: tuple[str, ...] = ()
+    pending: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The content of results.json."""
@@ -170,8 +170,8 @@ class FigureResult:
         }
 
 
-def circumstances(clock: CompileClock, configuration: dict[str, Any]) -> dict[str, Any]:
-    """What every results.json ends with: how long it took, with what and where, and everything that was set."""
+def provenance(clock: CompileClock, configuration: dict[str, Any]) -> dict[str, Any]:
+    """The last entries of every results.json: times, versions, hardware and all settings."""
     return {
         "seconds_compiling": clock.seconds,
         "seconds_running": clock.seconds_running,
@@ -182,10 +182,10 @@ def circumstances(clock: CompileClock, configuration: dict[str, Any]) -> dict[st
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Writes one file of results, whole or not at all.
+    """Writes one file of results atomically.
 
     Raises:
-        NotSavedError: the disk is full, or the folder is gone or read-only.
+        NotSavedError: the disk is full, or the folder is missing or read-only.
     """
     write_atomically(path, (json.dumps(content, indent=1, default=_plain) + "\n").encode())
 

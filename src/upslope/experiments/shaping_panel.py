@@ -1,4 +1,4 @@
-"""Shaping only (Fig. 1, middle and right; Figs. 3 and 5, right): one learner with every potential, one program."""
+"""Shaping only (Fig. 1, middle and right; Figs. 3 and 5, right): one learner with every potential, in one program."""
 
 from typing import Any, NamedTuple
 
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from upslope.experiments.keys import Purpose, keys_per_task
-from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, arm_of
+from upslope.experiments.results import EPISODE_LENGTH, Arm, Panel, Score, make_arm
 from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.learners.shaping import Shaping
@@ -20,13 +20,13 @@ from upslope.types import Task
 
 
 class ShapingArm(NamedTuple):
-    """Which potential an arm shapes by: bias + scale · mean of K networks' V heads.
+    """The potential of an arm: bias + scale · mean of K networks' V heads.
 
     Attributes:
-        networks: ``[seeds, tasks, K, ...]``.
-        scale: of the mean.
-        bias: for each seed ``[seeds]``.
-        terminal_discount: what multiplies Φ at terminal states; all but zero is not policy-invariant.
+        networks: the networks ``[seeds, tasks, K, ...]``.
+        scale: factor of the mean.
+        bias: added for each seed ``[seeds]``.
+        terminal_discount: factor of Φ at terminal states; any value but zero is not policy-invariant.
     """
 
     networks: DuelingQ
@@ -41,11 +41,11 @@ def shaping_arms(
     """The arms of a shaping comparison whose potentials are networks.
 
     Args:
-        family: of the tasks, for its γ.
-        priors: ``[seeds, ...]``.
+        family: the family, for its γ.
+        priors: the priors ``[seeds, ...]``.
         levels: each prior's mean potential ``[seeds]``.
-        oracles: ``[tasks, ...]``; None leaves that arm out.
-        tasks: how many.
+        oracles: the oracles ``[tasks, ...]``; None leaves out that arm.
+        tasks: the number of tasks.
     """
     seeds = levels.shape[0]
     shape = (seeds, tasks, seeds)
@@ -88,20 +88,20 @@ def shaping_panel(
     stage: str | None = None,
     score: Score = EPISODE_LENGTH,
 ) -> Panel:
-    """Trains one agent per arm, seed and task; arms share seeds, tasks and randomness.
+    """Trains one agent per arm, seed and task. The arms share seeds, tasks and random numbers.
 
     Args:
-        title: of the panel.
+        title: the title of the panel.
         family: of the tasks; DQN where its actions are discrete, DDPG where they are continuous.
-        tasks: ``[tasks, ...]``.
-        arms: the shaping of each, stacked ``[seeds, tasks, ...]``; potentials of one form share one program.
-        config: of the agent, the same for every arm.
-        first_seed: of the runs.
-        updates: of each agent.
+        tasks: the tasks ``[tasks, ...]``.
+        arms: each arm's shaping, stacked ``[seeds, tasks, ...]``; potentials of one form share one program.
+        config: settings of the agents, the same for every arm.
+        first_seed: the first seed of the runs.
+        updates: updates of each agent.
         every: updates between evaluations.
-        session: who watches, and where checkpoints go.
-        stage: what its runs are called, before their arms' names; after the learner if None.
-        score: what the returns are.
+        session: observers and checkpoints.
+        stage: title of the runs, before the names of the arms; the learner's name if None.
+        score: the meaning of the returns.
     """
     count = jax.tree.leaves(tasks)[0].shape[0]
     purpose = {"discrete": Purpose.MIDDLE, "continuous": Purpose.RIGHT}[family.actions.kind]
@@ -117,7 +117,7 @@ def shaping_panel(
             title=f"{stage or type(learner).__name__} {name}",
             session=session,
         )
-        finished[name] = arm_of(outcome.updates, outcome.reports, score)
+        finished[name] = make_arm(outcome.updates, outcome.reports, score)
         compiling += outcome.seconds_compiling
         running += outcome.seconds_running
     return Panel(title, finished, compiling, running)
@@ -128,10 +128,10 @@ def shaping_learners(
 ) -> DQN | DDPG:
     """An arm's agents ``[seeds, tasks]``, given its shaping ``[seeds, tasks, ...]``."""
     seeds = jax.tree.leaves(shaping)[0].shape[0]
-    everywhere = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (seeds, *leaf.shape)), tasks)
+    tasks_of_seeds = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (seeds, *leaf.shape)), tasks)
     if isinstance(config, DDPGConfig):
-        return DDPG(family, everywhere, shaping, config)
-    return DQN(family, everywhere, shaping, config)
+        return DDPG(family, tasks_of_seeds, shaping, config)
+    return DQN(family, tasks_of_seeds, shaping, config)
 
 
 def _shaping(arm: ShapingArm, seeds: int, tasks: int) -> Shaping:

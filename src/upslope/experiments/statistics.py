@@ -1,4 +1,4 @@
-"""How results are summed up: median and quartiles (the paper's), IQM with stratified bootstrap intervals."""
+"""Summary statistics: median and quartiles (as in the paper), IQM with stratified bootstrap intervals."""
 
 from typing import NamedTuple
 
@@ -40,13 +40,13 @@ def interquartile_mean(scores: Scores) -> Curve:
 def bootstrap(scores: Scores, *, samples: int = 2000, confidence: float = 0.95, seed: int = 0) -> Interval:
     """The interquartile mean with a percentile bootstrap interval, stratified by task.
 
-    Each resample draws, for every task on its own, as many seeds as there are, with replacement.
+    Each resample draws the seeds with replacement, separately for every task.
     """
     seeds, tasks, evaluations = scores.shape
     rng = np.random.default_rng(seed)
-    # How often each run is drawn says all: a run drawn twice counts twice in the sorted order.
-    drawn = rng.multinomial(seeds, np.full(seeds, 1 / seeds), size=(samples, tasks))
-    counts = np.swapaxes(drawn, 1, 2).reshape(samples, seeds * tasks)
+    # Only the number of draws of each run matters: a run drawn twice counts twice in the sorted order.
+    draws = rng.multinomial(seeds, np.full(seeds, 1 / seeds), size=(samples, tasks))
+    counts = np.swapaxes(draws, 1, 2).reshape(samples, seeds * tasks)
     runs = _runs(scores)
     resampled = np.stack([_weighted_iqm(runs[:, index], counts) for index in range(evaluations)], axis=1)
     tail = 50 * (1 - confidence)
@@ -57,14 +57,14 @@ def bootstrap(scores: Scores, *, samples: int = 2000, confidence: float = 0.95, 
 def _weighted_iqm(
     values: Float[np.ndarray, "runs"], counts: Int[np.ndarray, "samples runs"]
 ) -> Float[np.ndarray, "samples"]:
-    """The interquartile mean of each resample in which run r stands ``counts[:, r]`` times."""
+    """The interquartile mean of each resample, which contains run r ``counts[:, r]`` times."""
     order = np.argsort(values)
-    until = np.cumsum(counts[:, order], axis=1)
+    cumulative = np.cumsum(counts[:, order], axis=1)
     trimmed = values.size // 4
     below, above = trimmed, values.size - trimmed
-    upto = np.clip(until, below, above)
-    kept = np.diff(upto, axis=1, prepend=below)
-    return kept @ values[order] / (above - below)
+    clipped = np.clip(cumulative, below, above)
+    weights = np.diff(clipped, axis=1, prepend=below)
+    return weights @ values[order] / (above - below)
 
 
 class Difference(NamedTuple):
@@ -76,9 +76,10 @@ class Difference(NamedTuple):
 
 
 def paired_difference(ours: Scores, theirs: Scores, *, samples: int = 2000, seed: int = 0) -> Difference:
-    """Ours less theirs, mean over all runs and evaluations; the two share seeds and tasks.
+    """Ours minus theirs, averaged over all runs and evaluations; both share seeds and tasks.
 
-    The interval is of a bootstrap over tasks and over seeds: what other tasks and other priors might have shown.
+    The interval is of a bootstrap over tasks and over seeds, because other tasks and other priors would give other
+    results.
     """
     of_runs = _mean_of_runs(np.asarray(ours, float) - np.asarray(theirs, float))
     (resampled,) = _resampled_means(of_runs, samples=samples, seed=seed)
@@ -87,7 +88,7 @@ def paired_difference(ours: Scores, theirs: Scores, *, samples: int = 2000, seed
 
 
 class Shortfall(NamedTuple):
-    """Percents by which one mean is below another, bounds of their 95 % bootstrap interval, and those of each seed."""
+    """Percentage by which one mean is below another, its 95 % bootstrap interval, and the percentage of each seed."""
 
     percent: float
     low: float
@@ -96,9 +97,9 @@ class Shortfall(NamedTuple):
 
 
 def paired_shortfall(ours: Scores, theirs: Scores, *, samples: int = 2000, seed: int = 0) -> Shortfall | None:
-    """By how many percent of their mean ours is below it; both are resampled together, as in `paired_difference`.
+    """By how many percent our mean is below theirs; both are resampled together, as in `paired_difference`.
 
-    None where there is nothing to take percents of: their mean is not positive in each resample and with each seed.
+    None if their mean is not positive in every resample and for every seed: then percentages have no meaning.
     """
     means = _mean_of_runs(ours), _mean_of_runs(theirs)
     our_means, their_means = _resampled_means(*means, samples=samples, seed=seed)
@@ -119,7 +120,7 @@ def _resampled_means(
 ) -> list[Float[np.ndarray, "samples"]]:
     """The mean of each table over seeds and over tasks drawn with replacement, the same draws for all tables."""
     rng = np.random.default_rng(seed)
-    # How often each is drawn, as a share: a resample's mean is then a product with the table.
+    # The share of draws of each seed and task: a resample's mean is then a product with the table.
     seeds, tasks = (rng.multinomial(n, np.full(n, 1 / n), size=samples) / n for n in tables[0].shape)
     return [np.einsum("bs,st,bt->b", seeds, table, tasks) for table in tables]
 

@@ -1,4 +1,4 @@
-"""How long Algorithm 2's second step should be, beside its first: on tuning tasks of both families."""
+"""How long Algorithm 2's second step should be compared with its first: a study on tuning tasks of both families."""
 
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple
@@ -9,7 +9,7 @@ from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.maps.figures import full_grid_figure
 from upslope.experiments.maps.priors import families
 from upslope.experiments.priors import meta_train_priors
-from upslope.experiments.results import EPISODE_LENGTH, SUCCESS, Panel, Score, circumstances
+from upslope.experiments.results import EPISODE_LENGTH, SUCCESS, Panel, Score, provenance
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.recipes import for_grid_games
 from upslope.run.compiling import compile_clock
@@ -19,16 +19,16 @@ from upslope.tasks import JaxTasks, cartpoles, grid_games
 
 @dataclass(frozen=True)
 class StepRatioConfig:
-    """What is compared, and where.
+    """Settings of the study.
 
     Attributes:
-        ratios: of Eq. 9's step to Eq. 8's.
-        seeds: priors of each family.
-        tasks: tuning tasks for the step sizes, and as many others on which those are used. None is a test task of a
-            figure: poles are drawn by other seeds, maps from the training split.
-        first_seed: other seeds than any figure's.
-        poles: Algorithm 1 on poles; stopped after a fifth of it.
-        maps: Algorithm 1 on maps; stopped half-way.
+        ratios: ratios of Eq. 9's step to Eq. 8's.
+        seeds: the number of priors of each family.
+        tasks: the number of tuning tasks for the step sizes, and of other tasks for the comparison. None of them is a
+            test task of a figure: poles have other seeds, maps come from the training split.
+        first_seed: the first seed; no figure uses these seeds.
+        poles: Algorithm 1 on poles; it is stopped after a fifth of its iterations.
+        maps: Algorithm 1 on maps; it is stopped half-way.
     """
 
     ratios: tuple[float, ...] = (1.0, 0.3, 0.1)
@@ -40,10 +40,10 @@ class StepRatioConfig:
 
 
 class _Setting(NamedTuple):
-    """One family with all that adaptation there needs."""
+    """One family, with everything that adaptation on it needs."""
 
-    trained_on: JaxTasks
-    tried_on: JaxTasks
+    training: JaxTasks
+    adapting: JaxTasks
     meta_training: MetaTrainingConfig
     panel: AdaptationPanel
     adaptation: AdaptationConfig
@@ -51,13 +51,13 @@ class _Setting(NamedTuple):
 
 
 def quick_step_ratio(config: StepRatioConfig) -> StepRatioConfig:
-    """Few tasks, hardly trained priors: shows that all works, says nothing."""
+    """Few tasks and hardly trained priors: tests the code, and its results mean nothing."""
     poles, maps = replace(config.poles, iterations=50), replace(for_grid_games(16), evaluation_tasks=5)
     return replace(config, seeds=1, tasks=3, poles=poles, maps=maps)
 
 
 def step_ratio(config: StepRatioConfig, session: Session | None = None) -> dict[str, Any]:
-    """Adapts with every ratio, each at its own best step size, and returns the content of results.json."""
+    """Adapts with every ratio at its own best step size, and returns the content of results.json."""
     rules: dict[str, UpdateRule] = {f"{ratio:g}": AdvantageHead(value_step=ratio) for ratio in config.ratios}
     figure = full_grid_figure("obstacles")
     settings = {
@@ -83,7 +83,7 @@ def step_ratio(config: StepRatioConfig, session: Session | None = None) -> dict[
     return {
         "figure": "step-ratio",
         "variants": rows,
-        **circumstances(clock, asdict(config)),
+        **provenance(clock, asdict(config)),
     }
 
 
@@ -92,10 +92,10 @@ def _compare(
 ) -> Panel:
     seed = config.first_seed
     title = f"{name}: meta-training"
-    priors = meta_train_priors(setting.trained_on, setting.meta_training, seed, config.seeds, session, title)
-    tasks = setting.tried_on.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
+    priors = meta_train_priors(setting.training, setting.meta_training, seed, config.seeds, session, title)
+    tasks = setting.adapting.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
     return adaptation_panel(
-        setting.tried_on,
+        setting.adapting,
         priors,
         tasks,
         setting.panel,

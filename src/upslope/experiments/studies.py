@@ -1,4 +1,4 @@
-"""Studies beside the paper's figures: what is run, and the table that sums it up."""
+"""Studies in addition to the paper's figures, each with the table that summarises it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,20 +22,20 @@ def study(
     run: Callable[[Settings, Session], dict[str, Any]],
     table: Callable[[dict[str, Any]], Table],
 ) -> Experiment[Settings, dict[str, Any]]:
-    """An experiment that writes one file, and is told by one table.
+    """An experiment that writes one file and is summarised by one table.
 
     Args:
         full: makes the full form's settings.
-        quick: the quick form of them.
-        run: gives the content of results.json.
-        table: of that content.
+        quick: makes the quick form's settings from the full form's.
+        run: returns the content of results.json.
+        table: makes the table from that content.
     """
 
-    def tell(results: dict[str, Any], folder: Path, console: Console) -> None:
+    def summarise(results: dict[str, Any], folder: Path, console: Console) -> None:
         console.print(table(results))
         console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold].")
 
-    return Experiment(full, quick, lambda plan, session: run(plan.settings, session), _write, tell)
+    return Experiment(full, quick, lambda plan, session: run(plan.settings, session), _write, summarise)
 
 
 def _write(results: dict[str, Any], folder: Path) -> None:

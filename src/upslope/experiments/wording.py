@@ -1,17 +1,17 @@
-"""What the page of each figure says beside its numbers."""
+"""The text of each figure's report."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 
 class Wording(NamedTuple):
-    """The words of one figure.
+    """The text of one figure.
 
     Attributes:
-        title: of the page.
-        intro: above the findings; ``{seeds}`` and ``{tasks}`` are filled in.
-        about_priors: a sentence from the rows of the priors.
-        paper: what the paper found in place of Algorithm 2's and MAML's updates to the goal.
+        title: the title of the report.
+        intro: the introduction; ``{seeds}`` and ``{tasks}`` are filled in.
+        about_priors: makes a sentence from the rows of the priors.
+        paper: the paper's numbers of updates to the goal, for Algorithm 2 and MAML.
     """
 
     title: str
@@ -24,8 +24,8 @@ def _of_poles(rows: list[dict[str, Any]]) -> str:
     means = [row["zero_shot_mean"] for row in rows]
     good = sum(mean >= 195 for mean in means)
     return (
-        f"{good} of {len(means)} priors balance unseen poles for 195 steps or more on average before any learning "
-        f"there (lowest mean {min(means):.1f})."
+        f"{good} of {len(means)} priors balance unseen poles for 195 steps or more on average, before any "
+        f"learning on them (lowest mean {min(means):.1f})."
     )
 
 
@@ -35,7 +35,7 @@ def _of_maps(rows: list[dict[str, Any]]) -> str:
         return f"{min(values):.2f}" if min(values) == max(values) else f"{min(values):.2f} to {max(values):.2f}"
 
     age = f"the priors, after {rows[0]['iterations']:,} iterations,"
-    solved = f"Before any learning there {age} solve {span('zero_shot_mean')} of the unseen maps"
+    solved = f"Before any learning on them, {age} solve {span('zero_shot_mean')} of the unseen maps"
     if "multi_task_zero_shot_mean" not in rows[0]:  # no control was trained
         return f"{solved}; rank correlation of V with V* {span('rank_correlation')}."
     return (
@@ -45,26 +45,23 @@ def _of_maps(rows: list[dict[str, Any]]) -> str:
 
 
 _MAPS = (
-    "A potential was meta-learned over maps, once per seed, and then met {{tasks}} {unseen}. Every run is one of "
-    "{{seeds}} seeds × {{tasks}} maps; its score is 1 where the greedy policy, judged exactly and by the raw rewards, "
-    "reaches the goal within 50 steps, and else 0. Curves are interquartile means, "
-    "with 95 % intervals of a bootstrap stratified by map; the lowest row shows discounted returns in the same way. "
+    "A potential was meta-learned over maps, once per seed, and then used on {{tasks}} {unseen}. There are "
+    "{{seeds}} seeds × {{tasks}} maps. A run scores 1 if its greedy policy reaches the goal within 50 steps, and 0 "
+    "otherwise; the score is exact and uses the raw rewards. Curves are interquartile means with 95 % intervals of a "
+    "bootstrap stratified by map. The last row shows discounted returns in the same way. "
     "Medians and quartiles are in results.json."
 )
 
 WORDING: dict[str, Wording] = {
     "fig1": Wording(
         "Figure 1: CartPoles with unseen pole lengths",
-        "A potential was meta-learned over poles of every length, once per seed, and then met {tasks} poles that it "
-        "had never seen. Every curve is the median over {seeds} seeds × {tasks} poles of the raw, unshaped return of "
-        "the greedy policy; the shade lies between the quartiles. An episode ends after 200 steps, so 200 is the top.",
+        "A potential was meta-learned over poles of many lengths, once per seed, and then used on {tasks} unseen "
+        "poles. Every curve is the median over {seeds} seeds × {tasks} poles of the raw, unshaped return of the greedy "
+        "policy; the shaded band lies between the quartiles. An episode ends after 200 steps, so the maximum return is "
+        "200.",
         _of_poles,
         " (the paper: 4 and 8)",
     ),
-    "fig3": Wording(
-        "Figure 3: clean maps with unseen goals", _MAPS.format(unseen="maps whose goals it had never seen"), _of_maps
-    ),
-    "fig5": Wording(
-        "Figure 5: unseen maps with obstacles", _MAPS.format(unseen="maps that it had never seen"), _of_maps
-    ),
+    "fig3": Wording("Figure 3: clean maps with unseen goals", _MAPS.format(unseen="maps with unseen goals"), _of_maps),
+    "fig5": Wording("Figure 5: unseen maps with obstacles", _MAPS.format(unseen="unseen maps"), _of_maps),
 }

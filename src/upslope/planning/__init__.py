@@ -1,1 +1,1 @@
-"""Exact planning in finite tasks, and what is measured against it."""
+"""Exact planning in finite tasks, and measures of learned values against it."""

@@ -1,4 +1,4 @@
-"""Potentials for grid games that nobody had to learn: the optimal value, and the Manhattan distance by hand."""
+"""Potentials for grid games that are not learned: the optimal value, and one made from the Manhattan distance."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from upslope.types import Observation, Scalar
 
 
 class CellPotential(eqx.Module):
-    """Φ as a table over the cells of one map: what stands at the current position is looked up.
+    """Φ as a table over the cells of one map, looked up at the current position.
 
     Attributes:
         values: Φ of every cell ``[cells]``; stacked for stacked maps.
@@ -29,7 +29,7 @@ class CellPotential(eqx.Module):
 
 
 def optimal_potential(family: JaxTasks, maps: GridParams) -> CellPotential:
-    """V* of stacked maps ``[n, ...]``: the best potential there is (Thm. 3.1). The oracle.
+    """V* of stacked maps ``[n, ...]``: the best potential (Thm. 3.1). The oracle.
 
     Without traps and slipping V* is γ to the power of the length of the shortest path, less one.
     """
@@ -37,7 +37,7 @@ def optimal_potential(family: JaxTasks, maps: GridParams) -> CellPotential:
 
 
 def manhattan_potential(family: JaxTasks, maps: GridParams) -> CellPotential:
-    """What one would design by hand for stacked maps ``[n, ...]``: V* as if there were no obstacles and no traps."""
+    """A hand-made potential for stacked maps ``[n, ...]``: V* as if there were no obstacles and no traps."""
     return CellPotential(_manhattan_of_all(family.env, maps, family.gamma))
 
 
@@ -47,13 +47,13 @@ def _manhattan_of_all(env: Any, maps: GridParams, gamma: float) -> Float[Array, 
 
 
 def manhattan_values(env: Any, params: GridParams, gamma: float) -> Float[Array, "cells"]:
-    """γ^(d − 1) with d rows and columns to go, in every cell of one map; 0 at the goal, as V* is."""
+    """γ^(d − 1) in every cell of one map, where d is the Manhattan distance to the goal; 0 at the goal, as in V*."""
     steps = manhattan_distance(env, params)
     return jnp.where(steps > 0, jnp.asarray(gamma) ** (steps - 1), 0.0)
 
 
 def manhattan_distance(env: Any, params: GridParams) -> Int[Array, "cells"]:
-    """Rows and columns from every cell of one map to the goal."""
+    """Rows plus columns from every cell of one map to the goal."""
     cells = jnp.arange(env.cells)
     rows = jnp.abs(cells // env.width - params.goal // env.width)
     columns = jnp.abs(cells % env.width - params.goal % env.width)

@@ -1,4 +1,4 @@
-"""How near a learned V and Q come to the truth on finite tasks. Nothing is sampled: every number is exact.
+"""How near a learned V and Q are to V* and Q* on finite tasks. Nothing is sampled: every number is exact.
 
 Functions are for one task and its tables of numbers per state; `measure_all` takes a network and a stack of tasks.
 """
@@ -29,13 +29,13 @@ ActionValues = Float[Array, "states actions"]
 
 
 class Truth(eqx.Module):
-    """What is known exactly of one task; made once, used at every evaluation.
+    """The exact values of one task, computed once and used at every evaluation.
 
     Attributes:
         mdp: the task as tables.
         solution: V* and Q*.
-        states: those that count: one acts there, and some reward can still be reached.
-        start: where episodes start.
+        states: the states that count: the agent acts there, and some reward can still be reached.
+        start: the first state of episodes.
     """
 
     mdp: TabularMDP
@@ -48,11 +48,12 @@ class Measures(NamedTuple):
     """One number per task ``[*tasks]``.
 
     Attributes:
-        rank_correlation: Spearman's, of V with V* over the states that count. 1 is a V of the right order everywhere.
-        squared_error: mean of (V − V*)² over them: Eq. 4.
-        action_optimality: share of them in which the greedy action of Q is an optimal one.
-        success: probability that the greedy policy earns a positive reward within an episode.
-        discounted_return: of the greedy policy from the start, within an episode.
+        rank_correlation: Spearman's rank correlation of V with V* over the states that count. It is 1 if V has the
+            right order everywhere.
+        squared_error: the mean of (V − V*)² over these states (Eq. 4).
+        action_optimality: the share of these states in which the greedy action of Q is optimal.
+        success: the probability that the greedy policy earns a positive reward within an episode.
+        discounted_return: the discounted return of the greedy policy from the start, within an episode.
         optimal_return: V* of the start.
     """
 
@@ -65,7 +66,7 @@ class Measures(NamedTuple):
 
 
 def truth(env: Any, task: Task, gamma: float) -> Truth:
-    """Plans in one task of a finite environment, whose tasks have a ``start``."""
+    """Plans in one task of a finite environment whose tasks have a ``start``."""
     mdp = tabulate(env, task, gamma)
     return Truth(mdp, value_iteration(mdp), can_earn(mdp), task.start)
 
@@ -76,42 +77,42 @@ def truths(env: Any, tasks: Task, gamma: float) -> Truth:
     return jax.vmap(lambda task: truth(env, task, gamma))(tasks)
 
 
-def measure(known: Truth, value: States, q: ActionValues, steps: int) -> Measures:
+def measure(exact: Truth, value: States, q: ActionValues, steps: int) -> Measures:
     """All measures of one task.
 
     Args:
-        known: of the task.
+        exact: the exact values of the task.
         value: the learned V of every state.
-        q: the learned Q, or any scores of the actions, of every state.
-        steps: the longest episode.
+        q: the learned Q, or any other scores of the actions, of every state.
+        steps: the maximum length of an episode.
     """
     greedy = jax.nn.one_hot(jnp.argmax(q, axis=-1), q.shape[-1])
     return Measures(
-        rank_correlation(value, known.solution.value, known.states),
-        _mean((value - known.solution.value) ** 2, known.states),
-        action_optimality(q, known.solution.action_value, known.states),
-        success(known.mdp, greedy, steps)[known.start],
-        evaluate_policy(known.mdp, greedy, tolerance=0.0, max_iterations=steps)[known.start],
-        known.solution.value[known.start],
+        rank_correlation(value, exact.solution.value, exact.states),
+        _mean((value - exact.solution.value) ** 2, exact.states),
+        action_optimality(q, exact.solution.action_value, exact.states),
+        success(exact.mdp, greedy, steps)[exact.start],
+        evaluate_policy(exact.mdp, greedy, tolerance=0.0, max_iterations=steps)[exact.start],
+        exact.solution.value[exact.start],
     )
 
 
 @eqx.filter_jit
-def measure_all(env: Any, known: Truth, tasks: Task, network: Any, steps: int) -> Measures:
-    """A network on ``n`` stacked tasks ``[n, ...]``.
+def measure_all(env: Any, exact: Truth, tasks: Task, network: Any, steps: int) -> Measures:
+    """All measures of a network on ``n`` stacked tasks ``[n, ...]``.
 
     Args:
-        env: has ``observe_all(task)``: what is seen from every state.
-        known: `truths` of the tasks.
-        tasks: the same ones.
-        network: one observation to Q(s, ·); its ``value`` gives V(s).
-        steps: the longest episode.
+        env: has ``observe_all(task)``, the observations of all states.
+        exact: `truths` of the tasks.
+        tasks: the tasks.
+        network: maps one observation to Q(s, ·); its ``value`` gives V(s).
+        steps: the maximum length of an episode.
     """
 
-    def of_one(known: Truth, task: Task) -> Measures:
-        return measure(known, *tables(env, task, network), steps)
+    def of_one(exact: Truth, task: Task) -> Measures:
+        return measure(exact, *tables(env, task, network), steps)
 
-    return jax.vmap(of_one)(known, tasks)
+    return jax.vmap(of_one)(exact, tasks)
 
 
 def tables(env: Any, task: Task, network: Any) -> tuple[States, ActionValues]:
@@ -121,7 +122,7 @@ def tables(env: Any, task: Task, network: Any) -> tuple[States, ActionValues]:
 
 
 def rank_correlation(ours: States, theirs: States, states: StatesMask) -> Scalar:
-    """Spearman's rank correlation over some states, equal numbers sharing their mean rank; 0 where one is constant."""
+    """Spearman's rank correlation over some states; ties share their mean rank; 0 if either side is constant."""
     x, y = _ranks(ours, states), _ranks(theirs, states)
     x, y = x - _mean(x, states), y - _mean(y, states)
     spread = jnp.sqrt(_mean(x**2, states) * _mean(y**2, states))
@@ -129,37 +130,37 @@ def rank_correlation(ours: States, theirs: States, states: StatesMask) -> Scalar
 
 
 def action_optimality(q: ActionValues, optimal_q: ActionValues, states: StatesMask) -> Scalar:
-    """Share of some states in which the highest Q (the first of equal ones) stands at an optimal action."""
-    chosen = jnp.argmax(q, axis=-1, keepdims=True)
-    is_best = jnp.take_along_axis(best_actions(optimal_q), chosen, axis=-1)[:, 0]
+    """Share of some states in which the action with the highest Q (the first one among ties) is optimal."""
+    greedy = jnp.argmax(q, axis=-1, keepdims=True)
+    is_best = jnp.take_along_axis(best_actions(optimal_q), greedy, axis=-1)[:, 0]
     return _mean(is_best.astype(q.dtype), states)
 
 
 def episode_values(mdp: TabularMDP, policy: ActionValues, steps: int) -> tuple[States, States]:
-    """The expected raw return of a policy within so many steps, from every state: undiscounted, and discounted."""
+    """The expected raw return of a policy within ``steps`` steps from every state: undiscounted, and discounted."""
     undiscounted = eqx.tree_at(lambda mdp: mdp.discounts, mdp, jnp.sign(mdp.discounts))
     raw = evaluate_policy(undiscounted, policy, tolerance=0.0, max_iterations=steps)
     return raw, evaluate_policy(mdp, policy, tolerance=0.0, max_iterations=steps)
 
 
 def success(mdp: TabularMDP, policy: ActionValues, steps: int) -> States:
-    """The probability, from every state, that a policy earns a positive reward within so many steps."""
+    """The probability, from every state, that a policy earns a positive reward within ``steps`` steps."""
     undiscounted = eqx.tree_at(lambda mdp: mdp.discounts, _positive_rewards_only(mdp), jnp.sign(mdp.discounts))
     return evaluate_policy(undiscounted, policy, tolerance=0.0, max_iterations=steps)
 
 
 def feature_norm(features: Float[Array, "states units"]) -> Scalar:
-    """Root of the mean squared feature. Algorithm 1 to the letter drives it to zero."""
+    """Root mean square of the features. Algorithm 1 to the letter drives it to zero."""
     return jnp.sqrt(jnp.mean(features**2))
 
 
 def dead_units(features: Float[Array, "states units"], *, tolerance: float = 1e-6) -> Scalar:
-    """Share of units that say the same in every state, such as a ReLU that is never active."""
+    """Share of units with the same output in every state, such as a ReLU that is never active."""
     return jnp.mean((jnp.ptp(features, axis=0) <= tolerance).astype(features.dtype))
 
 
 def summarise(measures: Measures) -> dict[str, dict[str, float]]:
-    """Mean, median and worst of each measure over tasks ``[n]``; the worst error is the largest, else the lowest."""
+    """Mean, median and worst of each measure over tasks ``[n]``; the worst is the lowest, or for errors the largest."""
     worst: dict[str, Callable] = {"squared_error": np.max}
     return {
         name: {
@@ -172,7 +173,7 @@ def summarise(measures: Measures) -> dict[str, dict[str, float]]:
 
 
 def _positive_rewards_only(mdp: TabularMDP) -> TabularMDP:
-    """The task in which every positive reward counts one, and nothing costs anything."""
+    """The same task with a reward of 1 for every positive reward, and 0 for all others."""
     return eqx.tree_at(lambda mdp: mdp.rewards, mdp, (mdp.rewards > 0).astype(mdp.rewards.dtype))
 
 

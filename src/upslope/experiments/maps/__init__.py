@@ -1,1 +1,1 @@
-"""What is run on grid games: Figures 2 to 5, and studies of their settings."""
+"""Experiments on grid games: Figures 2 to 5, and studies of their settings."""

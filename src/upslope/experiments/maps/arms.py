@@ -1,4 +1,4 @@
-"""The arms of shaping on maps: every potential as a table over the cells, so that all are one program, and cheap."""
+"""The shaping arms on maps: every potential is a table over the cells, so that all arms are one cheap program."""
 
 import equinox as eqx
 import jax
@@ -16,17 +16,17 @@ from upslope.types import Task
 def grid_arms(
     family: JaxTasks, tasks: Task, priors: DuelingQ, control: DuelingQ, levels: Float[Array, "seeds"]
 ) -> dict[str, Shaping]:
-    """Shapings ``[seeds, tasks, ...]``: learned, designed by hand, exact, and none.
+    """The shaping of each arm ``[seeds, tasks, ...]``: learned potentials, hand-made ones, V*, and none.
 
-    A frozen potential says the same of a cell whenever it is asked: asking every network once for all cells spares the
+    A frozen potential always gives the same value for a cell. Evaluating every network once for all cells saves the
     learners a pass through it in each of their steps.
 
     Args:
-        family: of the maps.
-        tasks: ``[tasks, ...]``.
-        priors: of Algorithm 1 ``[seeds, ...]``.
+        family: the family of the maps.
+        tasks: the maps ``[tasks, ...]``.
+        priors: priors of Algorithm 1 ``[seeds, ...]``.
         control: priors of multi-task DQN ``[seeds, ...]``.
-        levels: of the constant potentials ``[seeds]``, from `mean_levels_on_maps`.
+        levels: the constant potentials ``[seeds]``, from `mean_levels_on_maps`.
     """
     own, others = value_tables(family, tasks, priors), value_tables(family, tasks, control)
     values = {
@@ -49,7 +49,7 @@ def grid_arms(
 
 
 def mean_levels_on_maps(family: JaxTasks, maps: Task, networks: DuelingQ) -> Float[Array, "seeds"]:
-    """Each network's mean V over the cells of some maps that count: not those on which the level is used."""
+    """Each network's mean V over the cells that count of some maps, which are not those on which the level is used."""
     states = truths(family.env, maps, family.gamma).states
     return jnp.mean(value_tables(family, maps, networks), axis=(1, 2), where=states)
 

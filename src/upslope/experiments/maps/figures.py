@@ -1,4 +1,4 @@
-"""Figures 3 and 5: unseen maps. Left: adaptation with the advantage head; right: shaped DQN."""
+"""Figures 3 and 5, on unseen maps. Left: adaptation with the advantage head; right: shaped DQN."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -14,7 +14,7 @@ from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_pan
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.maps.arms import grid_arms, mean_levels_on_maps
 from upslope.experiments.maps.priors import families
-from upslope.experiments.maps.readings import Maps, quick_reading, stage
+from upslope.experiments.maps.readings import Maps, quick_reading, training_title
 from upslope.experiments.priors import Priors, describe_priors, meta_train_priors
 from upslope.experiments.results import SUCCESS, Arm, FigureResult, Panel, differences
 from upslope.experiments.shaping_panel import shaping_panel
@@ -32,25 +32,25 @@ from upslope.types import Task
 GridPanelName = Literal["left", "right"]
 GRID_PANELS: tuple[GridPanelName, ...] = ("left", "right")
 
-#: Iterations at which the left panel stops Algorithm 1: two at which success on training maps shows that something is
-#: left to learn; and the end, but of clean maps, all of which the priors solve then.
+#: Iterations at which the left panel stops Algorithm 1: two at which success on training maps shows that there is
+#: something left to learn, and on maps with obstacles also the end. At the end the priors solve every clean map.
 STOPS: dict[Maps, tuple[int, ...]] = {"obstacles": (2000, 4000, 8000), "clean": (561, 748)}
 
 
 @dataclass(frozen=True)
 class GridFigureConfig:
-    """A protocol of Figures 3 and 5; `full_grid_figure` has the whole one.
+    """The protocol of Figures 3 and 5; `full_grid_figure` makes the full form.
 
     Attributes:
-        maps: "clean" for Figure 3 (10 × 10, no test goal ever a training goal), "obstacles" for Figure 5 (8 × 8).
-        meta_training: Algorithm 1.
-        multi_task: the control, plain DQN over all training maps; an iteration takes a little longer.
+        maps: "clean" for Figure 3 (10 × 10, no test goal is ever a training goal), "obstacles" for Figure 5 (8 × 8).
+        meta_training: settings of Algorithm 1.
+        multi_task: settings of the control, plain DQN over all training maps; its iterations take a little longer.
         panel: stops and step sizes of the left panel.
-        seeds: priors, and runs per map.
-        tasks: unseen maps.
-        first_seed: seeds are first_seed, first_seed + 1, …; the test maps are drawn by it too.
-        dqn_updates: length of the right panel.
-        every: updates between evaluations there.
+        seeds: the number of priors, and of runs per map.
+        tasks: the number of unseen maps.
+        first_seed: seeds are first_seed, first_seed + 1, …; it also determines the test maps.
+        dqn_updates: updates in the right panel.
+        every: updates between evaluations in the right panel.
         adaptation: sizes of batches and replay in the left panel.
         dqn: the learner of the right panel.
     """
@@ -69,16 +69,16 @@ class GridFigureConfig:
 
     def __post_init__(self) -> None:
         if self.seeds < 1 or self.tasks < 1:
-            raise UpslopeError(f"{self.seeds} seeds on {self.tasks} maps make no figure: give at least 1 of each.")
+            raise UpslopeError(f"A figure needs at least 1 seed and 1 map, not {self.seeds} and {self.tasks}.")
 
 
 def full_grid_figure(maps: Maps, iterations: int | None = None) -> GridFigureConfig:
-    """The whole protocol; with shorter or longer meta-training the left panel's stops move in proportion."""
-    usual = ITERATIONS[maps]
-    iterations = usual if iterations is None else iterations
+    """The full form; with shorter or longer meta-training the left panel's stops move in proportion."""
+    default = ITERATIONS[maps]
+    iterations = default if iterations is None else iterations
     if iterations < 1:
-        raise UpslopeError(f"{iterations} iterations teach nothing: give at least 1.")
-    stops = tuple(max(1, stop * iterations // usual) for stop in STOPS[maps])
+        raise UpslopeError(f"{iterations} iterations are too few: give at least 1.")
+    stops = tuple(max(1, stop * iterations // default) for stop in STOPS[maps])
     return GridFigureConfig(
         maps,
         meta_training=for_grid_games(iterations),
@@ -90,7 +90,7 @@ def full_grid_figure(maps: Maps, iterations: int | None = None) -> GridFigureCon
 
 
 def quick_grid_figure(config: GridFigureConfig) -> GridFigureConfig:
-    """A minute or two: shows that all works, says nothing."""
+    """The quick form, a minute or two: tests the code, and its results mean nothing."""
     return replace(
         config,
         seeds=1,
@@ -104,8 +104,9 @@ def quick_grid_figure(config: GridFigureConfig) -> GridFigureConfig:
 
 
 def trainings(maps: Maps, panels: Sequence[str]) -> tuple[str, ...]:
-    """Those that Figures 3 and 5 share with Figures 2 and 4; the left panel alone needs no control."""
-    return tuple(stage(maps, name) for name in ("algorithm1", *(["multi_task_dqn"] if "right" in panels else [])))
+    """The trainings that Figures 3 and 5 share with Figures 2 and 4; the left panel alone needs no control."""
+    recipes = ("algorithm1", "multi_task_dqn") if "right" in panels else ("algorithm1",)
+    return tuple(training_title(maps, recipe) for recipe in recipes)
 
 
 def grid_figure(
@@ -115,9 +116,9 @@ def grid_figure(
     is_quick: bool = False,
     session: Session | None = None,
 ) -> FigureResult:
-    """Runs the panels asked for, the right one first. The same configuration gives the same returns on one machine.
+    """Runs some panels, the right one first. The same configuration gives the same returns on one machine.
 
-    Where the left one is to come, the session is shown the right one, without a description of the priors yet.
+    If the left panel is pending, the session shows the right one, which does not describe the priors yet.
     """
     finished: dict[str, Panel] = {}
     seed = config.first_seed
@@ -137,14 +138,14 @@ def grid_figure(
             quick=is_quick,
             seconds_compiling=clock.seconds,
             seconds_running=clock.seconds_running,
-            to_come=tuple(panel for panel in GRID_PANELS if panel in panels and panel not in finished),
+            pending=tuple(panel for panel in GRID_PANELS if panel in panels and panel not in finished),
         )
 
     with compile_clock() as clock:
         family, unseen = families(config.maps)
         tasks = unseen.sample_many(key_for(seed, Purpose.TEST_TASKS), config.tasks)
         titles = trainings(config.maps, panels)
-        # The left panel alone needs the priors as they are at its stops, not at the end.
+        # The left panel alone needs the priors only up to its last stop.
         until = None if "right" in panels else max(config.panel.stops)
         priors = meta_train_priors(family, config.meta_training, seed, config.seeds, session, titles[0], until=until)
         control = None
@@ -184,7 +185,7 @@ def grid_figure(
 
 
 def _about_the_prior(arms: dict[str, Arm]) -> dict[str, Any]:
-    """How the arm shaped by the prior compares with each other one, and with V* in percent."""
+    """The prior's arm compared with each other arm, and with V* in percent."""
     below = paired_shortfall(arms["prior"].returns, arms["oracle"].returns)
     return {
         "prior_less": differences(arms, "prior"),
@@ -195,18 +196,18 @@ def _about_the_prior(arms: dict[str, Arm]) -> dict[str, Any]:
 def _describe(
     family: JaxTasks, tasks: Task, priors: Priors, control: Priors | None, first_seed: int
 ) -> list[dict[str, Any]]:
-    """One row per seed: what its prior, and that of multi-task DQN, know of the unseen maps from the start."""
-    known = truths(family.env, tasks, family.gamma)
+    """One row per seed: the measures of its prior and of multi-task DQN's on unseen maps, before learning on them."""
+    exact = truths(family.env, tasks, family.gamma)
     rows: list[dict[str, Any]] = [{"iterations": int(priors.iterations[-1])} for _ in priors.chosen]
     for prefix, of_seeds in (("", priors), ("multi_task_", control)):
         if of_seeds is None:
             continue
         networks = (jax.tree.map(lambda leaf, s=seed: leaf[s], of_seeds.final) for seed in range(len(rows)))
-        found = [measure_all(family.env, known, tasks, network, family.max_steps) for network in networks]
-        solved = describe_priors(np.stack([np.asarray(one.success) for one in found]), first_seed)
-        for row, one, described in zip(rows, found, solved, strict=True):
-            row["seed"] = described.pop("seed")
-            row |= {f"{prefix}{name}": value for name, value in described.items()}
+        measures = [measure_all(family.env, exact, tasks, network, family.max_steps) for network in networks]
+        solved = describe_priors(np.stack([np.asarray(one.success) for one in measures]), first_seed)
+        for row, one, description in zip(rows, measures, solved, strict=True):
+            row["seed"] = description.pop("seed")
+            row |= {f"{prefix}{name}": value for name, value in description.items()}
             for name in ("rank_correlation", "action_optimality", "discounted_return"):
                 row[f"{prefix}{name}"] = float(np.mean(getattr(one, name)))
     return rows

@@ -1,4 +1,4 @@
-"""What the settings of DQN are worth on maps, to potentials that nobody learned: the record of how they were chosen."""
+"""The effect of DQN's settings on maps, with potentials that are not learned: how the settings were selected."""
 
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from upslope.experiments.keys import Purpose, key_for
-from upslope.experiments.results import SUCCESS, circumstances
+from upslope.experiments.results import SUCCESS, provenance
 from upslope.experiments.shaping_panel import shaping_panel
 from upslope.learners.dqn import DQNConfig, for_maps
 from upslope.learners.shaping import Shaping
@@ -15,7 +15,7 @@ from upslope.run.compiling import compile_clock
 from upslope.run.session import Session
 from upslope.tasks import grid_games
 
-#: No learned potential is among them, so that none is favoured.
+#: No learned potential is among the arms, so that none is favoured.
 ARMS = ("unshaped", "manhattan", "oracle")
 
 
@@ -35,13 +35,13 @@ VARIANTS: dict[str, DQNConfig] = {
 
 @dataclass(frozen=True)
 class GridLearnersConfig:
-    """How the settings are compared.
+    """Settings of the study.
 
     Attributes:
-        seeds: runs per map; other seeds than any figure's.
-        first_seed: seeds are first_seed, first_seed + 1, …
-        tasks: tuning maps, of the training split.
-        updates: of each learner.
+        seeds: the number of runs per map.
+        first_seed: seeds are first_seed, first_seed + 1, …; no figure uses them.
+        tasks: the number of tuning maps, which come from the training split.
+        updates: updates of each learner.
         every: updates between evaluations.
     """
 
@@ -53,7 +53,7 @@ class GridLearnersConfig:
 
 
 def quick_grid_learners(config: GridLearnersConfig) -> GridLearnersConfig:
-    """Few maps and updates: shows that all works, says nothing."""
+    """Few maps and updates: tests the code, and its results mean nothing."""
     return replace(config, tasks=2, updates=10, every=5)
 
 
@@ -89,5 +89,5 @@ def grid_learners(config: GridLearnersConfig, session: Session | None = None) ->
     return {
         "figure": "grid-learners",
         "variants": rows,
-        **circumstances(clock, asdict(config)),
+        **provenance(clock, asdict(config)),
     }

@@ -1,4 +1,4 @@
-"""Figures 2 and 4: unseen maps beside what the prior says of them, and a sheet of many, worst and best included."""
+"""Pictures of Figures 2 and 4: one unseen map with the learned V and V*, and a sheet of many, from worst to best."""
 
 from pathlib import Path
 
@@ -11,17 +11,14 @@ from upslope.experiments.maps.readings import GridPriorsConfig
 from upslope.planning.measures import truths
 from upslope.priors.prior import Prior
 
-ON_THE_SHEET = 24
+SHEET_SIZE = 24
 
 
 def draw_map_figures(config: GridPriorsConfig, prior: Prior, folder: Path) -> None:
-    """Writes map.png, the first unseen map, which nobody chose; sheet.png, evenly from the worst to the best.
-
-    PDFs are written beside them.
-    """
+    """Writes map.png with the first unseen map, sheet.png with maps evenly from the worst to the best, and PDFs."""
     family, unseen = families(config.maps)
     maps = unseen.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
     learned = learned_maps(family.env, truths(family.env, maps, family.gamma), maps, prior.network, family.max_steps)
     draw_one(learned[0], folder / "map.png")
-    shown = spread_by_rank(np.array([one.measures.rank_correlation for one in learned]), ON_THE_SHEET)
-    draw_sheet([learned[index] for index in shown], folder / "sheet.png")
+    selection = spread_by_rank(np.array([one.measures.rank_correlation for one in learned]), SHEET_SIZE)
+    draw_sheet([learned[index] for index in selection], folder / "sheet.png")

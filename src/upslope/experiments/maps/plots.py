@@ -1,4 +1,4 @@
-"""Pictures of what was learned on maps (Figs. 2 and 4): learned V beside V*, their difference, the greedy policy."""
+"""Pictures of learned values on maps (Figs. 2 and 4): learned V, V*, their difference, and the greedy policy."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,15 +26,15 @@ _ARROWS = np.array([[0, -1], [0, 1], [-1, 0], [1, 0]])
 
 
 class LearnedMap(NamedTuple):
-    """One map with what was learned there and what is true.
+    """One map with learned and exact values.
 
     Attributes:
         params: the map.
         value: learned V ``[cells]``.
-        q: learned Q, or other scores whose largest one is acted on ``[cells, actions]``.
+        q: learned Q, or other scores of the actions ``[cells, actions]``; the largest is the greedy action.
         optimal_value: V* ``[cells]``.
         states: cells that count ``[cells]``; the others are left blank.
-        measures: of this map.
+        measures: the measures of this map.
     """
 
     params: GridParams
@@ -45,11 +45,11 @@ class LearnedMap(NamedTuple):
     measures: Measures
 
 
-def learned_maps(env: GridGame, known: Truth, maps: GridParams, network: Any, steps: int) -> list[LearnedMap]:
-    """What a network says of each of ``n`` stacked maps ``[n, ...]``, and what is true."""
+def learned_maps(env: GridGame, exact: Truth, maps: GridParams, network: Any, steps: int) -> list[LearnedMap]:
+    """A network's values on each of ``n`` stacked maps ``[n, ...]``, with the exact ones."""
     value, q = jax.device_get(_tables_of_all(env, maps, network))
-    measures = jax.device_get(measure_all(env, known, maps, network, steps))
-    maps, known = jax.device_get((maps, known))
+    measures = jax.device_get(measure_all(env, exact, maps, network, steps))
+    maps, exact = jax.device_get((maps, exact))
 
     def pick(tree: Any, index: int) -> Any:
         return jax.tree.map(lambda leaf: leaf[index], tree)
@@ -59,8 +59,8 @@ def learned_maps(env: GridGame, known: Truth, maps: GridParams, network: Any, st
             pick(maps, index),
             value[index],
             q[index],
-            np.asarray(known.solution.value[index]),
-            np.asarray(known.states[index]),
+            np.asarray(exact.solution.value[index]),
+            np.asarray(exact.states[index]),
             pick(measures, index),
         )
         for index in range(len(value))
@@ -73,7 +73,7 @@ def _tables_of_all(env: GridGame, maps: GridParams, network: Any) -> Any:
 
 
 def draw_one(learned: LearnedMap, path: Path, *, title: str = "") -> None:
-    """Writes a picture of one map, which `figure_of_one` makes, and a PDF beside it."""
+    """Writes a picture of one map, made by `figure_of_one`, and the same as a PDF."""
     with plt.rc_context({"font.size": 9}):
         figure = figure_of_one(learned, title=title)
         figure.savefig(path, dpi=150)
@@ -82,7 +82,7 @@ def draw_one(learned: LearnedMap, path: Path, *, title: str = "") -> None:
 
 
 def figure_of_one(learned: LearnedMap, *, title: str = "") -> Figure:
-    """The map; learned V with arrows of the greedy policy; V*; learned V − V*: its first four axes, in this order."""
+    """Four panels: the map; learned V with arrows of the greedy policy; V*; learned V − V*."""
     figure, axes = plt.subplots(1, 4, figsize=(13, 3.4), layout="constrained")
     draw_map(axes[0], learned.params)
     axes[0].set_title(title or "map (start red, goal green)")
@@ -103,7 +103,7 @@ def figure_of_one(learned: LearnedMap, *, title: str = "") -> Figure:
 
 
 def draw_sheet(maps: list[LearnedMap], path: Path, *, columns: int = 6, title: str = "") -> None:
-    """Writes a sheet of maps, which `figure_of_sheet` makes, and a PDF beside it."""
+    """Writes a sheet of maps, made by `figure_of_sheet`, and the same as a PDF."""
     with plt.rc_context({"font.size": 7}):
         figure = figure_of_sheet(maps, columns=columns, title=title)
         figure.savefig(path, dpi=130)
@@ -112,7 +112,7 @@ def draw_sheet(maps: list[LearnedMap], path: Path, *, columns: int = 6, title: s
 
 
 def figure_of_sheet(maps: list[LearnedMap], *, columns: int = 6, title: str = "") -> Figure:
-    """Pairs of axes, learned V with arrows beside V*, in the order given (see `spread_by_rank`)."""
+    """Pairs of panels in the given order (see `spread_by_rank`): learned V with arrows, and V*."""
     rows = -(-len(maps) // columns)
     figure, axes = plt.subplots(
         rows, 2 * columns, figsize=(2.5 * columns, 1.62 * rows + 0.3), squeeze=False, layout="constrained"
@@ -177,8 +177,8 @@ def draw_values(
     """A heat map of numbers in the cells that count, over the map's start, goal, obstacles and traps."""
     params = learned.params
     height, width = params.obstacles.shape
-    shown = np.where(learned.states, values, np.nan).reshape(height, width)
-    image = axis.imshow(shown, cmap=colours, vmin=limits[0], vmax=limits[1])
+    grid = np.where(learned.states, values, np.nan).reshape(height, width)
+    image = axis.imshow(grid, cmap=colours, vmin=limits[0], vmax=limits[1])
     _fill(axis, np.flatnonzero(params.obstacles), WALL_COLOUR, width)
     _fill(axis, np.flatnonzero(params.traps), TRAP_COLOUR, width)
     _fill(axis, [int(params.goal)], GOAL_COLOUR, width)

@@ -1,4 +1,4 @@
-"""The picture of grid priors over their training."""
+"""The picture of grid priors during their training."""
 
 from pathlib import Path
 from typing import Any
@@ -15,16 +15,17 @@ TITLES = {
     "td_residual": "TD residual",
 }
 
-#: So many readings leave room for a legend within a panel, and for single maps.
+#: With at most this many readings there is room for a legend inside a panel, and for a panel of single maps.
 _FEW = 3
 
 
 def draw_grid_priors(results: dict[str, Any], aims: dict[str, float], folder: Path) -> None:
-    """Writes figure.png and figure.pdf: every measure, mean over unseen maps and seeds, over the training.
+    """Writes figure.png and figure.pdf: every measure during training, as a mean over unseen maps and seeds.
 
-    Trainings of as many iterations are drawn against those, others, made to take equal time, against their shares:
-    seconds are those of whatever else a machine did. Bands go from the lowest to the highest seed. The last panel of a
-    figure of few readings shows the single maps, where they ask for detours.
+    The horizontal axis is the number of iterations if it is equal for all readings. Readings that were made to take
+    equal time have different numbers, and the axis is the share of each training: measured seconds depend on what else
+    the machine did. Bands go from the lowest to the highest seed. With few readings the last panel shows single maps
+    against their detours.
     """
     rows = list(results["readings"].values())
     lengths = {row["iterations"][-1] for row in rows}
@@ -37,18 +38,18 @@ def draw_grid_priors(results: dict[str, Any], aims: dict[str, float], folder: Pa
         for axis, (measure, title) in zip(axes[: len(TITLES)], TITLES.items(), strict=True):
             for number, row in enumerate(rows):
                 seeds = np.asarray(row["measures"][measure]["mean"])
-                along = np.asarray(row["iterations"]) / (1 if len(lengths) == 1 else row["iterations"][-1])
+                progress = np.asarray(row["iterations"]) / (1 if len(lengths) == 1 else row["iterations"][-1])
                 style = {"color": f"C{number % 10}", "linestyle": "-" if number < 10 else "--"}
-                axis.plot(along, seeds.mean(axis=0), label=row["what"], linewidth=1.5, **style)
+                axis.plot(progress, seeds.mean(axis=0), label=row["what"], linewidth=1.5, **style)
                 axis.fill_between(
-                    along, seeds.min(axis=0), seeds.max(axis=0), color=style["color"], alpha=0.15, linewidth=0
+                    progress, seeds.min(axis=0), seeds.max(axis=0), color=style["color"], alpha=0.15, linewidth=0
                 )
             if measure in aims:
                 axis.axhline(aims[measure], color="#878787", linewidth=0.8, linestyle="--")
                 axis.set_ylim(min(0.0, axis.get_ylim()[0]), 1.02)
             else:
                 axis.set_yscale("log")
-            axis.set(title=title, xlabel="iterations" if len(lengths) == 1 else "share of the training, of equal time")
+            axis.set(title=title, xlabel="iterations" if len(lengths) == 1 else "share of the training (equal time)")
         if len(rows) <= _FEW:
             axes[0].legend(frameon=False, fontsize=7, loc="lower right")
         else:
@@ -59,7 +60,7 @@ def draw_grid_priors(results: dict[str, Any], aims: dict[str, float], folder: Pa
 
 
 def _draw_detours(results: dict[str, Any], axis: Axes) -> None:
-    """What limits a prior: the more a map's walls stand in the way, the less its V is in order."""
+    """What limits a prior: the longer the detours of a map, the lower the rank correlation of V."""
     for row in results["readings"].values():
         correlation = np.mean(row["maps"]["rank_correlation"], axis=0)
         axis.scatter(results["detours"], correlation, s=8, alpha=0.6, linewidth=0)

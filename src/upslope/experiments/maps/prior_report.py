@@ -1,4 +1,4 @@
-"""What learned priors of maps say (Figs. 2 and 4): the rows of a table, the aims, and a page to read."""
+"""Reports on priors of maps (Figs. 2 and 4): the rows of a table, the aims, and an HTML page."""
 
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,8 @@ from upslope.storage import write_atomically
 COLUMNS = ("", "seconds", *TITLES.values())
 
 _PICTURES = {
-    "figure.png": "Over the training: means over unseen maps, bands from the lowest to the highest seed, aims dashed.",
-    "map.png": "The first unseen map, which nobody chose: learned V of the first prior beside V*.",
+    "figure.png": "During training: means over unseen maps; bands from the lowest to the highest seed; aims dashed.",
+    "map.png": "The first unseen map (not selected): learned V of the first prior, and V*.",
     "sheet.png": "Unseen maps, evenly from the worst rank correlation to the best.",
 }
 
@@ -32,37 +32,37 @@ def _span(seeds: list[float]) -> str:
 
 
 def about_aims(results: dict[str, Any], aims: dict[str, float]) -> list[str]:
-    """One sentence for each aim: whether the priors of Algorithm 1 meet it on average.
+    """One sentence for each aim: whether the priors of Algorithm 1 reach it on average.
 
     Args:
         results: the content of results.json.
-        aims: the lowest mean that meets it, by measure.
+        aims: the lowest mean that reaches the aim, by measure.
     """
     final = results["readings"]["algorithm1"]["final"]
     means = {measure: float(np.mean(final[measure])) for measure in aims}
     return [
-        f"{TITLES[measure][0].upper()}{TITLES[measure][1:]}: {means[measure]:.4f} with Algorithm 1, "
-        f"the aim of {aim:g} {'met' if means[measure] >= aim else 'missed'}."
+        f"{TITLES[measure][0].upper()}{TITLES[measure][1:]}: {means[measure]:.4f} with Algorithm 1 "
+        f"(aim: {aim:g}, {'reached' if means[measure] >= aim else 'missed'})."
         for measure, aim in aims.items()
     ]
 
 
 def write_prior_report(title: str, results: dict[str, Any], aims: dict[str, float], folder: Path) -> None:
-    """Writes report.html from the results and the pictures that are in the folder already.
+    """Writes report.html from the results and the pictures in the folder.
 
     Raises:
-        NotSavedError: the disk is full, or the folder is gone or read-only.
+        NotSavedError: the disk is full, or the folder is missing or read-only.
     """
     settings = results["configuration"]
     intro = (
         f"<p>Priors were learned on training maps ({results['maps']}), {settings['seeds']} of each kind, and measured "
-        f"exactly on {settings['tasks']} maps that they had never seen.</p>"
+        f"exactly on {settings['tasks']} unseen maps.</p>"
     )
     parts = [intro, bullets(about_aims(results, aims)), table(COLUMNS, prior_rows(results))]
     for name, what in _PICTURES.items():
         parts.append(f"<h2>{what}</h2>\n{picture(folder / name, what)}")
     parts.append(
-        f"<footer>Seeds from {settings['first_seed']} on. {results['seconds_compiling']:.0f} s compiling, "
+        f"<footer>First seed: {settings['first_seed']}. {results['seconds_compiling']:.0f} s compiling, "
         f"{results['seconds_running']:.0f} s running. All numbers are in results.json, all measures of single maps in "
         "maps.npz, the priors in *.safetensors.</footer>"
     )

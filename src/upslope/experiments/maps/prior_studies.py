@@ -1,4 +1,4 @@
-"""Experiments that learn priors of grid games: Figures 2 and 4, and studies of Algorithm 1 there."""
+"""Experiments that learn priors of grid games: Figures 2 and 4, and studies of Algorithm 1 on maps."""
 
 from collections.abc import Callable
 from functools import partial
@@ -21,12 +21,12 @@ from upslope.run.session import Session
 
 
 class LearnedPriors(NamedTuple):
-    """What such an experiment comes to.
+    """The results of such an experiment.
 
     Attributes:
-        config: it was run with.
+        config: the settings of the run.
         results: the content of results.json.
-        priors: of each reading, one per seed.
+        priors: the priors of each reading, one per seed.
         maps: the content of maps.npz.
     """
 
@@ -37,13 +37,13 @@ class LearnedPriors(NamedTuple):
 
 
 def priors_study(title: str, full: Callable[..., GridPriorsConfig]) -> Experiment[GridPriorsConfig, LearnedPriors]:
-    """An experiment.
+    """An experiment that learns priors of grid games.
 
     Args:
-        title: of its page.
-        full: makes its settings, for any number of iterations or its own.
+        title: the title of its report.
+        full: makes its settings, for a given number of iterations or the default.
     """
-    return Experiment(full, quick_grid_priors, _run, partial(_write, title), _tell, with_iterations=full)
+    return Experiment(full, quick_grid_priors, _run, partial(_write, title), _summarise, with_iterations=full)
 
 
 def _run(plan: Plan[GridPriorsConfig], session: Session) -> LearnedPriors:
@@ -64,10 +64,13 @@ def _write(title: str, learned: LearnedPriors, folder: Path) -> None:
     write_prior_report(title, results, aims, folder)
 
 
-def _tell(learned: LearnedPriors, folder: Path, console: Console) -> None:
+def _summarise(learned: LearnedPriors, folder: Path, console: Console) -> None:
     results = learned.results
     table = Table(*COLUMNS, title=f"Priors on unseen maps ({results['maps']})")
     for what, *numbers in prior_rows(results):
-        table.add_row(what, *(number.partition(" (")[0] for number in numbers))  # seeds' ranges are on the page
+        means = (number.partition(" (")[0] for number in numbers)  # the ranges over seeds are in the report
+        table.add_row(what, *means)
     console.print(table)
-    console.print(f"[bold]{folder / 'report.html'}[/bold] tells it all; numbers, priors and pictures are beside it.")
+    console.print(
+        f"[bold]{folder / 'report.html'}[/bold] has all results; numbers, priors and pictures are next to it."
+    )

@@ -1,4 +1,4 @@
-"""Learns priors of grid games, and measures over their training how near V comes to V*."""
+"""Learns priors of grid games, and measures during training how near V comes to V*."""
 
 from dataclasses import asdict
 from typing import Any
@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from upslope.api import best_prior
 from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_for
-from upslope.experiments.maps.readings import GridPriorsConfig, Maps, stage
-from upslope.experiments.results import circumstances
+from upslope.experiments.maps.readings import GridPriorsConfig, Maps, training_title
+from upslope.experiments.results import provenance
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.networks.dueling import DuelingQ
@@ -28,12 +28,12 @@ from upslope.run.session import Session
 from upslope.tasks import JaxTasks, clean_maps, obstacle_maps
 from upslope.types import Task
 
-#: Which measures of single maps results.json tells.
-_TOLD = ("rank_correlation", "success")
+#: The measures of single maps that results.json holds.
+_STORED_MEASURES = ("rank_correlation", "success")
 
 
 def families(maps: Maps) -> tuple[JaxTasks, JaxTasks]:
-    """Training maps, and the family that unseen ones are drawn from."""
+    """The family of training maps, and that of unseen maps."""
     if maps == "clean":
         return clean_maps("train", held_out="goals"), clean_maps("test", held_out="goals")
     return obstacle_maps("train"), obstacle_maps("test")
@@ -42,11 +42,11 @@ def families(maps: Maps) -> tuple[JaxTasks, JaxTasks]:
 def run_grid_priors(
     config: GridPriorsConfig, session: Session | None = None
 ) -> tuple[dict[str, Any], dict[str, list[Prior]], dict[str, np.ndarray]]:
-    """Learns every prior, and measures it over its training on unseen maps.
+    """Learns every prior, and measures it on unseen maps during training.
 
     Returns:
-        The content of results.json; the priors of each reading, one per seed; and every measure of the priors on
-        single maps, ``reading/measure`` to ``[seeds, maps]``, with the maps' mean ``detours`` ``[maps]``.
+        The content of results.json; the priors of each reading, one per seed; and all measures of the priors on
+        single maps, as ``reading/measure`` to ``[seeds, maps]``, with the maps' mean ``detours`` ``[maps]``.
     """
     family, unseen = families(config.maps)
     rows: dict[str, Any] = {}
@@ -54,29 +54,31 @@ def run_grid_priors(
     singles: dict[str, np.ndarray] = {}
     with compile_clock() as clock:
         tasks = unseen.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
-        known = truths(family.env, tasks, family.gamma)
+        exact = truths(family.env, tasks, family.gamma)
         for name, (what, settings) in config.readings.items():
             outcome = run(
                 broadcast(MetaTraining(family, settings), (config.seeds,)),
                 keys_for(config.first_seed, config.seeds, Purpose.META_TRAINING),
                 updates=settings.iterations,
                 every=settings.snapshot_every,
-                title=stage(config.maps, name),
+                title=training_title(config.maps, name),
                 session=session,
             )
-            row = describe(family, known, tasks, outcome, settings)
+            row = describe(family, exact, tasks, outcome, settings)
             singles |= {f"{name}/{measure}": np.asarray(seeds) for measure, seeds in row["maps"].items()}
-            rows[name] = {"what": what} | row | {"maps": {measure: row["maps"][measure] for measure in _TOLD}}
+            rows[name] = (
+                {"what": what} | row | {"maps": {measure: row["maps"][measure] for measure in _STORED_MEASURES}}
+            )
             priors[name] = [
                 best_prior(family, outcome, settings, index, config.first_seed + index) for index in range(config.seeds)
             ]
-    singles["detours"] = np.asarray(mean_detours(family, known, tasks))
+    singles["detours"] = np.asarray(mean_detours(family, exact, tasks))
     results = {
         "figure": "grid priors",
         "maps": config.maps,
         "readings": rows,
         "detours": singles["detours"].tolist(),
-        **circumstances(
+        **provenance(
             clock,
             {
                 "seeds": config.seeds,
@@ -90,11 +92,11 @@ def run_grid_priors(
 
 
 def describe(
-    family: JaxTasks, known: Truth, tasks: Task, outcome: Outcome, config: MetaTrainingConfig
+    family: JaxTasks, exact: Truth, tasks: Task, outcome: Outcome, config: MetaTrainingConfig
 ) -> dict[str, Any]:
-    """The curves of one reading; those of each measure ``[seeds][snapshots]``, as mean, median and worst over maps.
+    """The curves of one reading: each measure ``[seeds][snapshots]``, as mean, median and worst over maps.
 
-    Of the priors themselves the single maps are told too, ``[seeds][maps]``.
+    For the final priors, the result also has the single maps ``[seeds][maps]``.
     """
     seeds, snapshots = outcome.reports["return"].shape
     chosen = [config.best_snapshot(row) for row in outcome.reports["return"]]
@@ -103,11 +105,11 @@ def describe(
     for seed in range(seeds):
         for index in range(snapshots):
             network = jax.tree.map(lambda leaf, i=seed, j=index: jnp.asarray(leaf[i, j]), outcome.reports["prior"])
-            found, health = examined(family, known, tasks, network)
+            measures, health = examine(family, exact, tasks, network)
             if index == chosen[seed]:
                 for name, of_seeds in maps.items():
-                    of_seeds.append(getattr(found, name).tolist())
-            numbers = summarise(found) | {name: {"mean": float(value)} for name, value in health.items()}
+                    of_seeds.append(getattr(measures, name).tolist())
+            numbers = summarise(measures) | {name: {"mean": float(value)} for name, value in health.items()}
             for name, kinds in numbers.items():
                 for kind, number in kinds.items():
                     rows = curves.setdefault(name, {}).setdefault(kind, [[] for _ in range(seeds)])
@@ -128,49 +130,49 @@ def describe(
     }
 
 
-def mean_detours(family: JaxTasks, known: Truth, tasks: Task) -> Float[Array, "tasks"]:
-    """By how many steps the shortest path is longer than rows and columns to the goal, a mean over states that count.
+def mean_detours(family: JaxTasks, exact: Truth, tasks: Task) -> Float[Array, "tasks"]:
+    """By how many steps the shortest path exceeds the rows and columns to the goal: a mean over the states that count.
 
-    Paths lead around traps. Where moves slip, no path can be kept to.
+    Paths lead around traps. Where moves slip there is no shortest path.
 
     Raises:
         UpslopeError: the family's moves slip.
     """
     if family.env.slippery:
-        raise UpslopeError("Where moves slip no path is the shortest: ask for detours of grid_games(slip=0.0).")
+        raise UpslopeError("Where moves slip there is no shortest path: measure detours with grid_games(slip=0.0).")
     straight = jax.vmap(lambda one: manhattan_distance(family.env, one))(tasks)
-    detours = jax.vmap(steps_to_reward)(known.mdp) - straight
-    return jnp.mean(detours.astype(float), axis=-1, where=known.states)
+    detours = jax.vmap(steps_to_reward)(exact.mdp) - straight
+    return jnp.mean(detours.astype(float), axis=-1, where=exact.states)
 
 
 @eqx.filter_jit
-def examined(
-    family: JaxTasks, known: Truth, tasks: Task, network: DuelingQ
+def examine(
+    family: JaxTasks, exact: Truth, tasks: Task, network: DuelingQ
 ) -> tuple[Measures, dict[str, Float[Array, ""]]]:
-    """All measures of single tasks ``[tasks]``, and what shows a collapse, from one pass through the network.
+    """All measures of single tasks ``[tasks]``, and signs of a collapse, from one pass through the network.
 
-    That is the TD residual over all states that count, the norm of the features, and the share of dead units.
+    The signs are the TD residual over all states that count, the norm of the features, and the share of dead units.
     """
 
     def of_one(pair: tuple[Truth, Task]) -> tuple[Measures, Float[Array, ""], Float[Array, "states units"]]:
-        known, task = pair
+        exact, task = pair
         features = jax.vmap(network.torso)(family.env.observe_all(task))
         value, advantage = jax.vmap(network.heads_on)(features)
         q = network.advantage_head.each_q(value, advantage)
-        return measure(known, value, q, family.max_steps), td_residual(known, value, q), features
+        return measure(exact, value, q, family.max_steps), td_residual(exact, value, q), features
 
-    # One task at a time: on CPUs convolutions are twice as fast on what the caches hold.
-    found, residuals, features = jax.lax.map(of_one, (known, tasks))
+    # One task at a time: on CPUs convolutions are twice as fast when the data fit the caches.
+    measures, residuals, features = jax.lax.map(of_one, (exact, tasks))
     features = features.reshape(-1, features.shape[-1])
     health = {
         "td_residual": jnp.mean(residuals),
         "feature_norm": feature_norm(features),
         "dead_units": dead_units(features),
     }
-    return found, health
+    return measures, health
 
 
-def td_residual(known: Truth, value: Float[Array, "states"], q: Float[Array, "states actions"]) -> Float[Array, ""]:
+def td_residual(exact: Truth, value: Float[Array, "states"], q: Float[Array, "states actions"]) -> Float[Array, ""]:
     """Mean squared TD error of a table on one task, over all actions of the states that count."""
-    squares = (lookahead(known.mdp, value) - q) ** 2
-    return jnp.mean(squares, where=known.states[:, None])
+    squares = (lookahead(exact.mdp, value) - q) ** 2
+    return jnp.mean(squares, where=exact.states[:, None])

@@ -1,4 +1,4 @@
-"""Which priors of grid games are learned: those of Figures 2 and 4, Algorithm 1 read in other ways, and fewer bits."""
+"""The priors of grid games: those of Figures 2 and 4, other readings of Algorithm 1, and fewer bits."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
@@ -9,7 +9,7 @@ from upslope.meta_training.recipes import ITERATIONS, for_grid_games, multi_task
 
 Maps = Literal["obstacles", "clean"]
 
-#: What the curves show, with the project's aims for Algorithm 1 on unseen obstacle maps and clean maps.
+#: The measures with an aim, and the project's aims for Algorithm 1 on unseen maps.
 AIMS: dict[str, dict[Maps, float]] = {
     "rank_correlation": {"obstacles": 0.95, "clean": 0.97},
     "action_optimality": {"obstacles": 0.88, "clean": 0.9},
@@ -18,22 +18,23 @@ AIMS: dict[str, dict[Maps, float]] = {
 
 
 class Reading(NamedTuple):
-    """One way to learn a prior."""
+    """One way to learn a prior: a label and the settings."""
 
-    what: str
+    label: str
     config: MetaTrainingConfig
 
 
 @dataclass(frozen=True)
 class GridPriorsConfig:
-    """Which priors are learned, and where they are tried.
+    """Which priors are learned, and on which maps they are measured.
 
     Attributes:
-        maps: "obstacles": 8 × 8, 4,000 training maps; or "clean": 10 × 10, 800, no test goal ever a training goal.
-        readings: by name.
-        seeds: priors of each.
-        first_seed: seeds are first_seed, first_seed + 1, …; the test maps are drawn by it too.
-        tasks: unseen maps.
+        maps: "obstacles" (8 × 8, 4,000 training maps) or "clean" (10 × 10, 800 training maps; no test goal is ever a
+            training goal).
+        readings: the readings by name.
+        seeds: the number of priors of each reading.
+        first_seed: seeds are first_seed, first_seed + 1, …; it also determines the test maps.
+        tasks: the number of unseen maps.
     """
 
     maps: Maps
@@ -44,7 +45,7 @@ class GridPriorsConfig:
 
 
 def grid_priors(maps: Maps, iterations: int | None = None) -> GridPriorsConfig:
-    """The recipe, and plain multi-task DQN for as many iterations, which take a little longer."""
+    """The recipe, and plain multi-task DQN for the same number of iterations, which take a little longer."""
     iterations = ITERATIONS[maps] if iterations is None else iterations
     return GridPriorsConfig(
         maps,
@@ -56,9 +57,10 @@ def grid_priors(maps: Maps, iterations: int | None = None) -> GridPriorsConfig:
 
 
 def grid_readings(iterations: int = 1500) -> GridPriorsConfig:
-    """Algorithm 1 read in other ways, and plain multi-task DQN: each for as long as the recipe's iterations take."""
+    """Other readings of Algorithm 1, and plain multi-task DQN: each for as long as the recipe's iterations take."""
     recipe = for_grid_games(iterations)
-    # Twice the passes through the network and more: iterations of equal time (medians on two quiet cores).
+    # These readings need two or more passes through the network; the factors make the times equal (medians on two
+    # quiet cores).
     one_pass_more, three_more = (
         for_grid_games(max(1, iterations * 6 // 11)),
         for_grid_games(max(1, iterations * 3 // 10)),
@@ -100,7 +102,7 @@ def grid_readings(iterations: int = 1500) -> GridPriorsConfig:
 
 
 def grid_precisions(iterations: int = 1500) -> GridPriorsConfig:
-    """The recipe with fewer bits in its convolutions: what that does to learning is the same on every machine."""
+    """The recipe with fewer bits in its convolutions; the effect on learning is the same on every machine."""
     recipe = for_grid_games(iterations)
     return GridPriorsConfig(
         "obstacles",
@@ -114,16 +116,16 @@ def grid_precisions(iterations: int = 1500) -> GridPriorsConfig:
 
 
 def quick_grid_priors(config: GridPriorsConfig) -> GridPriorsConfig:
-    """A minute or two: shows that all works, says nothing."""
-    readings = {name: Reading(what, quick_reading(reading)) for name, (what, reading) in config.readings.items()}
+    """The quick form, a minute or two: tests the code, and its results mean nothing."""
+    readings = {name: Reading(label, quick_reading(reading)) for name, (label, reading) in config.readings.items()}
     return replace(config, readings=readings, seeds=1, tasks=10)
 
 
 def quick_reading(config: MetaTrainingConfig) -> MetaTrainingConfig:
-    """A minute of it at most."""
+    """The quick form of one training: at most a minute."""
     return replace(config, iterations=40, snapshot_every=20, evaluation_tasks=5)
 
 
-def stage(maps: Maps, reading: str) -> str:
-    """What the training of a reading is called, in whichever figure it has a part."""
+def training_title(maps: Maps, reading: str) -> str:
+    """The title of a reading's training, the same in every figure that uses it."""
     return f"{maps}: {reading}"

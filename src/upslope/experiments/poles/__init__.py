@@ -1,1 +1,1 @@
-"""What is run on CartPoles: Figure 1, studies of its settings, and the prior that ships."""
+"""Experiments on CartPoles: Figure 1, studies of its settings, and the prior that ships."""

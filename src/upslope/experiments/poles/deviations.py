@@ -1,4 +1,4 @@
-"""What each difference from the paper is worth: Algorithm 1 to the letter, our recipe, the recipe less one thing."""
+"""The effect of each difference from the paper: Algorithm 1 to the letter, our recipe, the recipe with one change."""
 
 import time
 from dataclasses import asdict, dataclass, replace
@@ -10,7 +10,7 @@ import numpy as np
 
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import Priors, meta_train_priors, zero_shot_returns
-from upslope.experiments.results import circumstances
+from upslope.experiments.results import provenance
 from upslope.learners.policies import EpsilonGreedy
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.recipes import as_printed
@@ -21,7 +21,7 @@ from upslope.tasks import JaxTasks, cartpoles
 
 RECIPE = MetaTrainingConfig()
 
-#: By the number of the entry in docs/deviations.md: what is changed, and the settings with only that changed.
+#: By the number in docs/deviations.md: what is changed, and the recipe with only that change.
 VARIANTS: dict[str, tuple[str, MetaTrainingConfig]] = {
     "0": ("the recipe", RECIPE),
     "1": ("Algorithm 1 to the letter, SGD with β = 0.1", as_printed()),
@@ -48,13 +48,13 @@ VARIANTS: dict[str, tuple[str, MetaTrainingConfig]] = {
 
 @dataclass(frozen=True)
 class DeviationsConfig:
-    """How the variants are compared.
+    """Settings of the study.
 
     Attributes:
-        seeds: priors of each variant.
-        first_seed: seeds are first_seed, first_seed + 1, …; the test tasks are drawn by it too.
-        tasks: unseen tasks.
-        variants: which; all if empty.
+        seeds: the number of priors of each variant.
+        first_seed: seeds are first_seed, first_seed + 1, …; it also determines the test tasks.
+        tasks: the number of unseen tasks.
+        variants: names of the variants; all if empty.
     """
 
     seeds: int = 10
@@ -64,15 +64,15 @@ class DeviationsConfig:
 
 
 def quick_deviations(config: DeviationsConfig) -> DeviationsConfig:
-    """Two variants and two seeds: shows that all works, says nothing."""
+    """Two variants and two seeds: tests the code, and its results mean nothing."""
     return replace(config, seeds=2, tasks=10, variants=("0", "1"))
 
 
 def deviations(config: DeviationsConfig, session: Session | None = None) -> dict[str, Any]:
     """Meta-trains every variant and returns the content of its results.json.
 
-    Per variant: the zero-shot return of each seed's prior on unseen tasks, and how much V varies over states of
-    behaviour half random (its standard deviation: zero where the potential has collapsed or diverged).
+    Each variant has the zero-shot return of each seed's prior on unseen tasks, and the standard deviation of V over
+    states of half-random behaviour (zero if the potential has collapsed or diverged).
     """
     family = cartpoles()
     tasks = family.sample_many(key_for(config.first_seed, Purpose.TEST_TASKS), config.tasks)
@@ -101,7 +101,7 @@ def deviations(config: DeviationsConfig, session: Session | None = None) -> dict
     return {
         "figure": "deviations",
         "variants": rows,
-        **circumstances(clock, asdict(config)),
+        **provenance(clock, asdict(config)),
     }
 
 
@@ -120,13 +120,13 @@ def _measure(family: JaxTasks, priors: Priors, tasks: Any, config: DeviationsCon
 
 @jax.jit
 def value_spread(family: JaxTasks, networks: DuelingQ, key: jax.Array) -> jax.Array:
-    """Each prior's standard deviation of V over the states that it visits on extra tasks with ε = 0.5 ``[seeds]``."""
+    """Each prior's standard deviation of V over the states that it visits with ε = 0.5 on extra tasks ``[seeds]``."""
     task_key, reset_key, act_key = jax.random.split(key, 3)
     tasks = family.sample_many(task_key, 20)
 
     def spread(network: DuelingQ) -> jax.Array:
         running = family.reset(reset_key, tasks)
-        _, seen = family.collect(act_key, tasks, running, EpsilonGreedy(network, 0.5), family.max_steps)
-        return jnp.std(jax.vmap(jax.vmap(network.value))(seen.obs))
+        _, transitions = family.collect(act_key, tasks, running, EpsilonGreedy(network, 0.5), family.max_steps)
+        return jnp.std(jax.vmap(jax.vmap(network.value))(transitions.obs))
 
     return jax.vmap(spread)(networks)

@@ -40,19 +40,19 @@ from upslope.types import Task
 
 @dataclass(frozen=True)
 class Figure1Config:
-    """The whole protocol of Figure 1.
+    """The protocol of Figure 1.
 
     Attributes:
-        seeds: priors, and runs per task.
-        tasks: unseen tasks.
-        first_seed: seeds are first_seed, first_seed + 1, …; the test tasks are drawn by it too.
+        seeds: the number of priors, and of runs per task.
+        tasks: the number of unseen tasks.
+        first_seed: seeds are first_seed, first_seed + 1, …; it also determines the test tasks.
         length: bounds of the full pole length, in metres.
         gamma: γ.
-        dqn_updates: length of the middle panel.
-        ddpg_updates: length of the right panel.
+        dqn_updates: updates in the middle panel.
+        ddpg_updates: updates in the right panel.
         every: updates between evaluations in the middle and right panels.
-        meta_training: Algorithm 1.
-        oracle: training of each task's oracle; to convergence, so its first half is no candidate.
+        meta_training: settings of Algorithm 1.
+        oracle: training of each task's oracle to convergence, so snapshots of its first half are not candidates.
         panel: stops and step sizes of the left panel.
         adaptation: sizes of batches and replay in the left panel.
         dqn: the learner of the middle panel.
@@ -75,7 +75,7 @@ class Figure1Config:
     )
     panel: AdaptationPanel = field(default_factory=AdaptationPanel)
     adaptation: AdaptationConfig = field(
-        # Room for what 20 updates gather: a larger replay stays empty, and is copied all the same.
+        # Just large enough for 20 updates: a larger replay would stay mostly empty and still be copied.
         default_factory=lambda: AdaptationConfig(evaluation_episodes=1, replay_capacity=4000)
     )
     dqn: DQNConfig = field(default_factory=DQNConfig)
@@ -83,11 +83,11 @@ class Figure1Config:
 
     def __post_init__(self) -> None:
         if self.seeds < 1 or self.tasks < 1:
-            raise UpslopeError(f"{self.seeds} seeds on {self.tasks} tasks make no figure: give at least 1 of each.")
+            raise UpslopeError(f"A figure needs at least 1 seed and 1 task, not {self.seeds} and {self.tasks}.")
 
 
 def quick(config: Figure1Config) -> Figure1Config:
-    """About a minute: fewer seeds, tasks and updates. Shows that all works; says nothing about the paper."""
+    """The quick form, about a minute: tests the code, and says nothing about the paper."""
     return replace(
         config,
         seeds=2,
@@ -106,9 +106,9 @@ def figure1(
     is_quick: bool = False,
     session: Session | None = None,
 ) -> FigureResult:
-    """Runs the panels asked for. The same configuration gives bit-identical returns on one machine.
+    """Runs some panels. The same configuration gives bit-identical returns on one machine.
 
-    After each panel but the last the session is shown the figure so far, whose priors are not described yet.
+    After each panel except the last, the session shows the unfinished figure, which does not describe the priors yet.
     """
     finished: dict[str, Panel] = {}
 
@@ -122,17 +122,17 @@ def figure1(
             quick=is_quick,
             seconds_compiling=clock.seconds,
             seconds_running=clock.seconds_running,
-            to_come=tuple(panel for panel in PANELS if panel in panels and panel not in finished),
+            pending=tuple(panel for panel in PANELS if panel in panels and panel not in finished),
         )
 
     def show() -> None:
-        so_far = figure([])
-        if so_far.to_come:
-            around.show(so_far)
+        unfinished = figure([])
+        if unfinished.pending:
+            outer_session.show(unfinished)
 
-    around = session or Session()
+    outer_session = session or Session()
     with compile_clock() as clock, Ahead() as ahead:
-        session = replace(around, ahead=ahead)
+        session = replace(outer_session, ahead=ahead)
         family = cartpoles(config.length, gamma=config.gamma)
         pushes = cartpoles(config.length, gamma=config.gamma, continuous=True)
         seed = config.first_seed
@@ -179,7 +179,7 @@ def figure1(
 def _compile_ahead(
     config: Figure1Config, panels: Sequence[PanelName], family: JaxTasks, pushes: JaxTasks, tasks: Task, ahead: Ahead
 ) -> None:
-    """The panels' programs, in the order in which they will be needed; each serves all arms of its panel."""
+    """Compiles the panels' programs in the background, in the order of use; each serves all arms of its panel."""
     seed, blank = config.first_seed, blank_priors(family, config.meta_training, config.seeds)
     if "left" in panels:
         starts = blank_priors(family, config.meta_training, len(config.panel.stops), config.seeds)

@@ -1,4 +1,4 @@
-"""What the settings of DQN and DDPG are worth to each arm, on tuning tasks: the record of how they were chosen."""
+"""The effect of DQN's and DDPG's settings on each arm, on tuning tasks: the record of how they were selected."""
 
 import math
 from dataclasses import asdict, dataclass, field, replace
@@ -8,7 +8,7 @@ import numpy as np
 
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.priors import mean_levels, meta_train_priors
-from upslope.experiments.results import circumstances
+from upslope.experiments.results import provenance
 from upslope.experiments.shaping_panel import shaping_arms, shaping_panel
 from upslope.learners.ddpg import DDPGConfig
 from upslope.learners.dqn import DQNConfig
@@ -39,16 +39,16 @@ DDPG_VARIANTS: dict[str, DDPGConfig] = {
 
 @dataclass(frozen=True)
 class LearnersConfig:
-    """How the settings are compared.
+    """Settings of the study.
 
     Attributes:
-        seeds: priors, and runs per task; other seeds than any figure's.
-        first_seed: seeds are first_seed, first_seed + 1, …
-        tasks: tuning tasks.
-        dqn_updates: of each DQN.
-        ddpg_updates: of each DDPG.
+        seeds: the number of priors, and of runs per task.
+        first_seed: seeds are first_seed, first_seed + 1, …; no figure uses them.
+        tasks: the number of tuning tasks.
+        dqn_updates: updates of each DQN.
+        ddpg_updates: updates of each DDPG.
         every: updates between evaluations.
-        meta_training: of the priors.
+        meta_training: training of the priors.
     """
 
     seeds: int = 2
@@ -61,7 +61,7 @@ class LearnersConfig:
 
 
 def quick_learners(config: LearnersConfig) -> LearnersConfig:
-    """Few tasks and updates: shows that all works, says nothing."""
+    """Few tasks and updates: tests the code, and its results mean nothing."""
     return replace(config, seeds=1, tasks=4, dqn_updates=100, ddpg_updates=100)
 
 
@@ -74,7 +74,7 @@ def learners(config: LearnersConfig, session: Session | None = None) -> dict[str
         priors = meta_train_priors(family, config.meta_training, config.first_seed, config.seeds, session).final
         levels = np.asarray(mean_levels(family, priors, key_for(config.first_seed, Purpose.LEVEL)))
         arms = shaping_arms(family, priors, levels, None, config.tasks)
-        chosen = {name: arms[name] for name in ARMS}
+        compared = {name: arms[name] for name in ARMS}
         for learner, actions, updates, variants in (
             ("DQN", family, config.dqn_updates, DQN_VARIANTS),
             ("DDPG", cartpoles(continuous=True), config.ddpg_updates, DDPG_VARIANTS),
@@ -84,7 +84,7 @@ def learners(config: LearnersConfig, session: Session | None = None) -> dict[str
                     learner,
                     actions,
                     tasks,
-                    chosen,
+                    compared,
                     settings,
                     config.first_seed,
                     updates=updates,
@@ -97,10 +97,10 @@ def learners(config: LearnersConfig, session: Session | None = None) -> dict[str
     return {
         "figure": "learners",
         "variants": rows,
-        **circumstances(clock, asdict(config)),
+        **provenance(clock, asdict(config)),
     }
 
 
 def _plain(settings: dict[str, Any]) -> dict[str, Any]:
-    """Infinity is no JSON: a threshold that never counts is null."""
+    """JSON has no infinity: a threshold without effect is null."""
     return {name: None if value == math.inf else value for name, value in settings.items()}

@@ -1,1 +1,1 @@
-"""The theorems, on thousands of maps."""
+"""Checks of the theorems on thousands of maps."""

@@ -1,4 +1,4 @@
-"""Thm. 3.2 on maps: Eqs. 8 and 9 in turn, on tables and with Algorithm 2's own step on a network."""
+"""Thm. 3.2 on maps: Eqs. 8 and 9 alternate, on tables and with Algorithm 2's step on a network."""
 
 from typing import Any, NamedTuple
 
@@ -10,30 +10,30 @@ from jaxtyping import Array, Float
 from upslope.adaptation.algorithm2 import advantage_step_loss, value_step_loss
 from upslope.equations.losses import advantage_loss, value_loss
 from upslope.equations.maml import descend
-from upslope.experiments.theorems.maps import Maps, for_each, known
+from upslope.experiments.theorems.maps import Maps, exact_truth, for_each
 from upslope.networks.dueling import DuelingQ
 from upslope.planning.exact import TabularMDP, shape_mdp
 from upslope.planning.measures import Truth, action_optimality
 from upslope.planning.measures import truth as truth_of
 from upslope.types import Key, Observation, Transition
 
-#: α of the tables: a step of Eq. 8 or 9 then goes half of the way to its target.
+#: α for tables: a step of Eq. 8 or 9 goes half of the way to its target.
 TABLE_STEP = 0.25
 
-#: How long the step of Eq. 9 is, in steps of Eq. 8. Algorithm 2 takes 1.
+#: Ratios of Eq. 9's step to Eq. 8's. Algorithm 2 has 1.
 RATIOS = (1.0, 0.1)
 
-#: Tables start as N(0, scale²), with a ratio.
+#: The scale of the tables' initial values, which are N(0, scale²), and a ratio.
 STARTS: dict[str, tuple[float, float]] = {
     "random, ratio 1": (1.0, 1.0),
     "zero, ratio 1": (0.0, 1.0),
     "random, ratio 0.1": (1.0, 0.1),
 }
 
-#: Where a distance counts as none.
+#: Distances below this count as converged.
 CONVERGED = 1e-3
 
-#: Widths of the network on one map.
+#: Widths of the network's layers.
 HIDDEN = (64, 64)
 
 
@@ -45,14 +45,14 @@ class Tables(NamedTuple):
 
 
 def alternate(mdp: TabularMDP, tables: Tables, ratio: float | Array) -> Tables:
-    """One step of Eq. 8 in expectation over the outcomes, with Φ = V, then one of Eq. 9, ``ratio`` times as long."""
+    """One step of Eq. 8 in expectation over the outcomes, with Φ = V, and one of Eq. 9, ``ratio`` times as long."""
     states = mdp.acting
     shaped = shape_mdp(mdp, tables.value)
-    following = jax.lax.stop_gradient(tables.advantage.max(-1))[mdp.successors]
+    next_advantage = jax.lax.stop_gradient(tables.advantage.max(-1))[mdp.successors]
 
     def advantage_objective(advantage: Float[Array, "states actions"]) -> Array:
-        # The outcomes of a state and action have the last axis.
-        of_outcomes = advantage_loss(advantage[..., None], shaped.rewards, mdp.discounts, following)
+        # The outcomes of a state and action are the last axis.
+        of_outcomes = advantage_loss(advantage[..., None], shaped.rewards, mdp.discounts, next_advantage)
         losses = jnp.sum(mdp.probabilities * of_outcomes, axis=-1)
         return jnp.sum(losses, where=states[:, None])
 
@@ -65,17 +65,18 @@ def alternate(mdp: TabularMDP, tables: Tables, ratio: float | Array) -> Tables:
 
 
 def tabular(maps: Maps, seed: int, *, pairs: int, every: int) -> dict[str, Any]:
-    """The largest distance to V* and to Q* − V* on every map, over pairs of steps.
+    """The largest distances to V* and to Q* − V* on every map, over pairs of steps.
 
     Returns:
-        ``pairs``; for each of `STARTS` the ``median`` map's and the ``worst`` map's distance of V at each of them, the
-        share of maps that ``converged`` (V and A within 0.001 at the end), and the worst ``advantage`` at the end;
-        ``fixed``, the distance of A to Q* − Φ where V stays what it was (Eq. 8 alone).
+        ``pairs``, the numbers of pairs; for each of `STARTS` the distance of V on the ``median`` and the ``worst`` map
+        after each number of pairs, the share of maps that ``converged`` (V and A within 0.001 at the end), and the
+        worst distance of A, ``advantage``, at the end; ``fixed``, the distance of A to Q* − Φ with V frozen (Eq. 8
+        alone).
     """
     keys = jax.random.split(jax.random.key(seed), len(maps.params.start))
 
     def one_map(params: Any, key: Key) -> tuple[Array, Array, Array]:
-        truth = known(maps, params)
+        truth = exact_truth(maps, params)
         advantage_key, value_key = jax.random.split(key)
         cells = maps.env.cells
         random = Tables(jax.random.normal(advantage_key, (cells, 4)), jax.random.normal(value_key, (cells,)))
@@ -91,19 +92,19 @@ def tabular(maps: Maps, seed: int, *, pairs: int, every: int) -> dict[str, Any]:
             before = distances(truth, start)
             return jnp.append(before[0], value), jnp.append(before[1], advantage)
 
-        alone = jax.lax.fori_loop(0, pairs, lambda _, tables: alternate(truth.mdp, tables, 0.0), random)
+        frozen_value = jax.lax.fori_loop(0, pairs, lambda _, tables: alternate(truth.mdp, tables, 0.0), random)
         scales, ratios = jnp.asarray(list(STARTS.values())).T
-        return *jax.vmap(from_start)(scales, ratios), distances(truth, alone)[1]
+        return *jax.vmap(from_start)(scales, ratios), distances(truth, frozen_value)[1]
 
     value, advantage, fixed = for_each(one_map, maps.params, keys)
     starts = {}
     for index, start in enumerate(STARTS):
-        near = (value[:, index, -1] < CONVERGED) & (advantage[:, index, -1] < CONVERGED)
+        has_converged = (value[:, index, -1] < CONVERGED) & (advantage[:, index, -1] < CONVERGED)
         starts[start] = {
             "median": np.median(value[:, index], axis=0).tolist(),
             "worst": value[:, index].max(axis=0).tolist(),
             "advantage": float(advantage[:, index, -1].max()),
-            "converged": float(near.mean()),
+            "converged": float(has_converged.mean()),
         }
     return {
         "maps": len(maps.params.start),
@@ -114,12 +115,12 @@ def tabular(maps: Maps, seed: int, *, pairs: int, every: int) -> dict[str, Any]:
 
 
 def stable_ratio(gamma: float) -> float:
-    """Below this ratio small errors die out whatever the greedy policy is; above it, some policies amplify them.
+    """The largest ratio below which small errors shrink for every greedy policy; above it, some policies amplify them.
 
-    With a fixed greedy policy the errors e of A and V follow e_A' = −M(e_A + e_V) and e_V' = ratio·e_A in the limit of
-    small steps, M = I − γP. Along an eigenvector of M with eigenvalue μ the solutions grow as exp(λt) with
+    With a fixed greedy policy, the errors e of A and V follow e_A' = −M(e_A + e_V) and e_V' = ratio·e_A in the limit of
+    small steps, where M = I − γP. Along an eigenvector of M with eigenvalue μ the solutions grow as exp(λt) with
     λ² + μλ + ratio·μ = 0, so both shrink if and only if ratio < Re μ·|μ|²/(Im μ)². The eigenvalues of γP lie in the
-    disc of radius γ, and on its rim for cycles: the least of the bound over the rim is returned.
+    disc of radius γ, and for cycles on its boundary. The result is the minimum of the bound over the boundary.
     """
     angle = np.linspace(1e-4, np.pi - 1e-4, 100_000)
     mu = 1 - gamma * np.exp(1j * angle)
@@ -139,16 +140,16 @@ def on_a_network(
     """Eqs. 8 and 9 on a dueling network from random weights, over every transition of one small map.
 
     Args:
-        family: with flat observations and without slipping.
+        family: a family with flat observations and without slipping.
         task: one map.
-        seed: the first of the seeds.
-        seeds: networks.
-        updates: pairs of Eqs. 8 and 9.
-        every: updates between looks.
-        step_size: α of plain gradient descent on Eq. 8; Eq. 9 takes that times each of `RATIOS`.
+        seed: the first seed.
+        seeds: the number of networks.
+        updates: the number of pairs of Eqs. 8 and 9.
+        every: updates between evaluations.
+        step_size: α of plain gradient descent on Eq. 8; for Eq. 9 it is multiplied by each of `RATIOS`.
 
     Returns:
-        ``updates``; for each of `RATIOS`, ``[seeds][looks]``, the largest distance of ``value`` to V* and of
+        ``updates``; for each of `RATIOS`, ``[seeds][evaluations]``, the largest distance of ``value`` to V* and of
         ``advantage`` to Q* − V*, and the share of states with an optimal greedy action, ``policy``.
     """
     truth = truth_of(family.env, task, family.gamma)
@@ -156,7 +157,7 @@ def on_a_network(
     batch = every_transition(family, task, truth, states)
 
     def level(_: Observation) -> Array:
-        return jnp.zeros(())  # A is raw: there is no prior to centre it by
+        return jnp.zeros(())  # A is raw, because there is no prior to centre it by
 
     observations = family.env.observe_all(task)
 
@@ -164,20 +165,20 @@ def on_a_network(
         phi = descend(phi, jax.grad(advantage_step_loss)(phi, phi, batch, level), step_size)
         return descend(phi, jax.grad(value_step_loss)(phi, batch, level), ratio * step_size)
 
-    def look(network: DuelingQ) -> tuple[Array, Array, Array]:
+    def evaluate(network: DuelingQ) -> tuple[Array, Array, Array]:
         value, advantage = jax.vmap(network.heads)(observations)
-        right = action_optimality(advantage, truth.solution.action_value, truth.states)
-        return *distances(truth, Tables(advantage, value)), right
+        optimality = action_optimality(advantage, truth.solution.action_value, truth.states)
+        return *distances(truth, Tables(advantage, value)), optimality
 
     def one_run(key: Key, ratio: Array) -> tuple[Array, Array, Array]:
         start = DuelingQ(key, family.observation_shape[0], family.actions.count, HIDDEN)
 
         def some_updates(network: DuelingQ, _: None) -> tuple[DuelingQ, tuple[Array, Array, Array]]:
-            following = jax.lax.fori_loop(0, every, lambda _, phi: pair(phi, ratio), network)
-            return following, look(following)
+            trained = jax.lax.fori_loop(0, every, lambda _, phi: pair(phi, ratio), network)
+            return trained, evaluate(trained)
 
-        _, looks = jax.lax.scan(some_updates, start, length=updates // every)
-        return jax.tree.map(jnp.append, look(start), looks)
+        _, evaluations = jax.lax.scan(some_updates, start, length=updates // every)
+        return jax.tree.map(jnp.append, evaluate(start), evaluations)
 
     keys = jnp.stack([jax.random.key(seed + number) for number in range(seeds)])
     over_ratios = jax.vmap(jax.vmap(one_run, (0, None)), (None, 0))

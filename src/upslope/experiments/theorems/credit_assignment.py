@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from upslope.experiments.theorems.maps import TOLERANCE, Maps, for_each, known
+from upslope.experiments.theorems.maps import TOLERANCE, Maps, exact_truth, for_each
 from upslope.planning.exact import best_actions, immediate_rewards, shape_mdp
 from upslope.planning.grid_potentials import manhattan_values
 from upslope.planning.measures import success
@@ -16,42 +16,42 @@ from upslope.types import Key
 #: Standard deviations of the noise on V*; the reward for the goal is 1.
 NOISE = (0.0, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.5)
 
-#: Immediate rewards nearer to zero than this count as zero; exact values are `TOLERANCE` away at most.
+#: Immediate rewards nearer to zero than this count as zero; values are exact to `TOLERANCE`.
 ZERO = 10 * TOLERANCE
 
 
 def credit_assignment(maps: Maps, seed: int) -> dict[str, Any]:
-    """What an agent that looks no step ahead is told, and how far it gets, with Φ = V* and with other potentials.
+    """The immediate shaped rewards of an agent that does not look ahead, with Φ = V* and with other potentials.
 
     Returns:
-        ``maps``; ``states`` and ``optimal_actions`` looked at; the largest size of an optimal action's expected shaped
-        reward, ``optimal_size``; the largest of any other action, ``other_largest``; the largest reward of a single
-        outcome, ``single_largest``, which slippery moves lift above zero; and ``solved``, by potential: the share of
-        maps that the best immediate reward alone leads through, within 50 steps.
+        The numbers of ``maps``, ``states`` and ``optimal_actions``; the largest absolute expected shaped reward of an
+        optimal action, ``optimal_size``; the largest expected shaped reward of any other action, ``other_largest``; the
+        largest shaped reward of a single outcome, ``single_largest``, which is above zero with slippery moves; and
+        ``solved``, by potential: the share of maps solved within 50 steps by following the best immediate reward.
     """
     count = len(maps.params.start)
     keys = jax.random.split(jax.random.key(seed), count)
-    found = for_each(lambda params, key: _one_map(maps, params, key), maps.params, keys)
+    results = for_each(lambda params, key: _one_map(maps, params, key), maps.params, keys)
     return {
         "maps": count,
-        "states": int(found["states"].sum()),
-        "optimal_actions": int(found["optimal_actions"].sum()),
-        "optimal_size": float(found["optimal_size"].max()),
-        "other_largest": float(found["other_largest"].max()),
-        "single_largest": float(found["single_largest"].max()),
-        "sets_equal": float(np.mean(found["sets_equal"])),
+        "states": int(results["states"].sum()),
+        "optimal_actions": int(results["optimal_actions"].sum()),
+        "optimal_size": float(results["optimal_size"].max()),
+        "other_largest": float(results["other_largest"].max()),
+        "single_largest": float(results["single_largest"].max()),
+        "sets_equal": float(np.mean(results["sets_equal"])),
         "solved": {
-            "V*": float(found["noisy"][:, 0].mean()),
-            "Manhattan": float(found["manhattan"].mean()),
-            "none": float(found["none"].mean()),
+            "V*": float(results["noisy"][:, 0].mean()),
+            "Manhattan": float(results["manhattan"].mean()),
+            "none": float(results["none"].mean()),
         },
         "noise": list(NOISE),
-        "solved_by_noise": found["noisy"].mean(axis=0).tolist(),
+        "solved_by_noise": results["noisy"].mean(axis=0).tolist(),
     }
 
 
 def _one_map(maps: Maps, params: Any, key: Key) -> dict[str, Array]:
-    truth = known(maps, params)
+    truth = exact_truth(maps, params)
     here = truth.states[:, None]
     optimal = best_actions(truth.solution.action_value, relative=0.0, absolute=ZERO) & here
     shaped = shape_mdp(truth.mdp, truth.solution.value)

@@ -11,7 +11,7 @@ from upslope.planning.exact import value_iteration
 from upslope.planning.measures import Truth, truth
 from upslope.tasks import JaxTasks, clean_maps, grid_games, obstacle_maps
 
-#: So exact are the values found; all that is called zero is zero to within this.
+#: The precision of exact values. What is called zero is zero to within this.
 TOLERANCE = 1e-9
 
 
@@ -19,8 +19,8 @@ class Maps(NamedTuple):
     """Stacked maps of one kind.
 
     Attributes:
-        env: their environment.
-        params: ``[n, ...]``, floats in double precision.
+        env: the environment of the maps.
+        params: the maps ``[n, ...]``, with floats in double precision.
         gamma: γ.
     """
 
@@ -30,7 +30,7 @@ class Maps(NamedTuple):
 
 
 def kinds() -> dict[str, JaxTasks]:
-    """The paper's two families, and two beyond it: with traps, and with traps and slippery moves."""
+    """The paper's two families, and two more: with traps, and with traps and slippery moves."""
     return {
         "clean 10×10": clean_maps(),
         "obstacles 8×8": obstacle_maps(),
@@ -40,7 +40,7 @@ def kinds() -> dict[str, JaxTasks]:
 
 
 def draw_maps(family: JaxTasks, count: int, seed: int) -> Maps:
-    """Maps of one kind; call it in single precision, so that they are the maps that learners see."""
+    """Maps of one kind. Call it in single precision, so that they are the maps that learners see."""
     params = jax.jit(lambda key: family.sample_many(key, count))(key_for(seed, Purpose.TEST_TASKS))
     with jax.enable_x64(True):
         params = jax.tree.map(
@@ -49,13 +49,14 @@ def draw_maps(family: JaxTasks, count: int, seed: int) -> Maps:
     return Maps(family.env, params, family.gamma)
 
 
-def known(maps: Maps, params: GridParams) -> Truth:
-    """What is known of one map, V* and Q* to within `TOLERANCE`."""
-    found = truth(maps.env, params, maps.gamma)
-    return Truth(found.mdp, value_iteration(found.mdp, tolerance=TOLERANCE / 100), found.states, found.start)
+def exact_truth(maps: Maps, params: GridParams) -> Truth:
+    """The exact values of one map: V* and Q* to within `TOLERANCE`."""
+    rounded = truth(maps.env, params, maps.gamma)
+    solution = value_iteration(rounded.mdp, tolerance=TOLERANCE / 100)
+    return Truth(rounded.mdp, solution, rounded.states, rounded.start)
 
 
 def for_each(function: Any, *stacked: Any) -> Any:
-    """A function over stacked maps ``[n, ...]``, compiled, so many at a time that memory stays small; in numpy."""
+    """A function over stacked maps ``[n, ...]``, compiled; 100 at a time, to save memory. Returns NumPy arrays."""
     mapped = jax.jit(lambda *trees: jax.lax.map(lambda slices: function(*slices), trees, batch_size=100))
     return jax.device_get(mapped(*stacked))

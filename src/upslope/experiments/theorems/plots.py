@@ -1,4 +1,4 @@
-"""The picture of the theorems: what breaks policy invariance, how good Φ must be, when Eqs. 8 and 9 converge."""
+"""The picture of the theorems: what violates policy invariance, how good Φ must be, when Eqs. 8 and 9 converge."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-#: The kind of maps that the first and the third panel show.
+#: The kind of maps in the first and the third panel.
 SHOWN = "obstacles 8×8"
 COLOURS = ("#b2182b", "#2166ac", "#4d9221", "#762a83")
 
@@ -26,7 +26,7 @@ def draw_theorems(results: dict[str, Any], folder: Path) -> None:
 
 
 def draw_invariance(axis: Axes, rows: dict[str, dict[str, dict[str, float]]]) -> None:
-    """Thm. 2.1: in how many maps some optimal action changes, by potential and by what is added."""
+    """Thm. 2.1: the share of maps in which some optimal action changes, by potential and by what is added."""
     added = list(next(iter(rows.values())))
     shares = np.array([[100 * row[name]["changed"] for row in rows.values()] for name in added])
     axis.imshow(shares, cmap="Reds", vmin=0, vmax=120, aspect="auto")
@@ -45,9 +45,9 @@ def draw_noise(axis: Axes, rows: dict[str, dict[str, Any]]) -> None:
         noise = np.asarray(row["noise"])
         axis.plot(noise, row["solved_by_noise"], color=colour, marker="o", markersize=3, label=kind)
         axis.axhline(row["solved"]["Manhattan"], color=colour, linestyle=":", linewidth=1)
-    shown = (0, 0.01, 0.03, 0.1, 0.2, 0.5)
+    ticks = (0, 0.01, 0.03, 0.1, 0.2, 0.5)
     axis.set_xscale("symlog", linthresh=0.003, linscale=0.4)
-    axis.set_xticks(shown, [f"{level:g}" for level in shown])
+    axis.set_xticks(ticks, [f"{level:g}" for level in ticks])
     axis.minorticks_off()
     axis.set(title="Thm. 3.1: acting on the immediate reward, Φ = V* + noise", xlim=(-3e-4, 0.6), ylim=(0, 1.03))
     axis.set(xlabel="standard deviation of the noise", ylabel="share of maps solved in 50 steps")
@@ -57,21 +57,21 @@ def draw_noise(axis: Axes, rows: dict[str, dict[str, Any]]) -> None:
 
 def draw_tables(axis: Axes, row: dict[str, Any]) -> None:
     """Thm. 3.2 on tables: the distance of V to V*, median and worst map."""
-    for colour, (start, found) in zip(COLOURS, row["starts"].items(), strict=False):
-        axis.plot(row["pairs"], np.maximum(found["median"], 1e-9), color=colour, label=f"{start}, median map")
+    for colour, (start, curves) in zip(COLOURS, row["starts"].items(), strict=False):
+        axis.plot(row["pairs"], np.maximum(curves["median"], 1e-9), color=colour, label=f"{start}, median map")
         axis.plot(
-            row["pairs"], np.maximum(found["worst"], 1e-9), color=colour, linestyle="--", label=f"{start}, worst map"
+            row["pairs"], np.maximum(curves["worst"], 1e-9), color=colour, linestyle="--", label=f"{start}, worst map"
         )
     axis.set(yscale="log", ylim=(1e-9, 1e6), xlabel="pairs of steps of Eqs. 8 and 9", ylabel="largest |V − V*|")
-    axis.set_title(f"Thm. 3.2 on tables ({SHOWN}); ratio: V's step in A's")
+    axis.set_title(f"Thm. 3.2 on tables ({SHOWN}); ratio of V's step to A's")
     axis.legend(frameon=False, fontsize=7)
 
 
-def draw_network(axis: Axes, found: dict[str, Any]) -> None:
-    """Thm. 3.2 on a network: the distance of V to V*, a line per seed."""
-    for colour, (ratio, runs) in zip((COLOURS[0], COLOURS[2]), found["ratios"].items(), strict=False):
+def draw_network(axis: Axes, results: dict[str, Any]) -> None:
+    """Thm. 3.2 on a network: the distance of V to V*, one line per seed."""
+    for colour, (ratio, runs) in zip((COLOURS[0], COLOURS[2]), results["ratios"].items(), strict=False):
         for number, run in enumerate(runs["value"]):
-            axis.plot(found["updates"], run, color=colour, linewidth=1, label=None if number else f"ratio {ratio}")
+            axis.plot(results["updates"], run, color=colour, linewidth=1, label=None if number else f"ratio {ratio}")
     axis.set(yscale="log", xlabel="pairs of steps of Eqs. 8 and 9", ylabel="largest |V − V*|")
-    axis.set_title("Thm. 3.2 on a network (one 5×5 map, a line per seed)")
+    axis.set_title("Thm. 3.2 on a network (one 5×5 map, one line per seed)")
     axis.legend(frameon=False)

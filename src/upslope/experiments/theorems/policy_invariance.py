@@ -1,4 +1,4 @@
-"""Thm. 2.1 on maps: F from a potential changes no optimal action; other rewards, added with the best intentions, do."""
+"""Thm. 2.1 on maps: F from a potential changes no optimal action; other added rewards do."""
 
 from typing import Any
 
@@ -9,20 +9,20 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.equations.shaping import shaped_optimum, shaping_reward
-from upslope.experiments.theorems.maps import TOLERANCE, Maps, for_each, known
+from upslope.experiments.theorems.maps import TOLERANCE, Maps, exact_truth, for_each
 from upslope.planning.exact import Solution, TabularMDP, best_actions, value_iteration
 from upslope.planning.grid_potentials import manhattan_distance
 from upslope.planning.measures import success
 from upslope.types import Key
 
-#: Wrong γ in F, beside the task's 0.9.
+#: The wrong γ in F; the task's is 0.9.
 OTHER_GAMMA = 0.99
 
-#: Where R + F is clipped, in the variant that clips.
+#: The bound of R + F, in the variant that clips.
 CLIP = 0.05
 
-#: Iterations of planning at most. Where staying is best and worth nothing, values shrink by γ each time and never
-#: settle; after so many they are off by 1e-22.
+#: The maximum number of iterations of planning. Where staying is best and earns nothing, values shrink by γ each time
+#: and never settle; after this many iterations they are off by 1e-22.
 ITERATIONS = 500
 
 POTENTIALS = ("random, 0.1", "random, 1", "distance")
@@ -38,11 +38,12 @@ ADDED = (
 
 
 def policy_invariance(maps: Maps, seed: int) -> dict[str, dict[str, dict[str, float]]]:
-    """For every potential and every way to add it: in how many maps the set of optimal actions changes somewhere.
+    """For every potential and every way to add it: the share of maps in which the set of optimal actions changes.
 
     Returns:
-        ``[potential][added]`` to the share of ``changed`` maps, the share ``solved`` in 50 steps by acting optimally
-        for the added reward (uniformly among the best actions), and the largest ``error`` of Q' + Φ − Q* (Eq. 1).
+        For each ``[potential][added]``: the share of ``changed`` maps; the share ``solved`` in 50 steps by acting
+        optimally for the changed reward (uniformly among the best actions); and the largest ``error`` of
+        Q' + Φ − Q* (Eq. 1).
     """
     keys = jax.random.split(jax.random.key(seed), len(maps.params.start))
     changed, solved, error = for_each(lambda params, key: _one_map(maps, params, key), maps.params, keys)
@@ -60,7 +61,7 @@ def policy_invariance(maps: Maps, seed: int) -> dict[str, dict[str, dict[str, fl
 
 
 def _one_map(maps: Maps, params: Any, key: Key) -> tuple[Array, Array, Array]:
-    truth = known(maps, params)
+    truth = exact_truth(maps, params)
     noise = jax.random.normal(key, (maps.env.cells,))
     potentials = jnp.stack([0.1 * noise, noise, -0.1 * manhattan_distance(maps.env, params)])
     original = best_actions(truth.solution.action_value, relative=0.0, absolute=10 * TOLERANCE)
@@ -83,21 +84,21 @@ def _one_map(maps: Maps, params: Any, key: Key) -> tuple[Array, Array, Array]:
 
 
 def added_rewards(mdp: TabularMDP, potential: Float[Array, "states"], gamma: float) -> tuple[Array, ...]:
-    """R + what is added, for each of `ADDED`; only the first is Def. 2.1."""
+    """R plus what is added, for each of `ADDED`; only the first is Def. 2.1."""
     here, there = potential[:, None, None], potential[mdp.successors]
-    going_on = jnp.sign(mdp.discounts)
+    continues = jnp.sign(mdp.discounts)
     f = shaping_reward(here, mdp.discounts, there)
     return (
         mdp.rewards + f,
         mdp.rewards + shaping_reward(here, gamma, there),
-        mdp.rewards + shaping_reward(here, OTHER_GAMMA * going_on, there),
-        mdp.rewards + shaping_reward(here, going_on, there),
+        mdp.rewards + shaping_reward(here, OTHER_GAMMA * continues, there),
+        mdp.rewards + shaping_reward(here, continues, there),
         jnp.clip(mdp.rewards + f, -CLIP, CLIP),
         mdp.rewards + jnp.maximum(f, 0.0),
-        mdp.rewards + going_on * there,
+        mdp.rewards + continues * there,
     )
 
 
 def _with_rewards(mdp: TabularMDP, rewards: Array) -> TabularMDP:
-    kept = jnp.where(mdp.acting[:, None, None], rewards, mdp.rewards)
-    return eqx.tree_at(lambda mdp: mdp.rewards, mdp, kept)
+    new_rewards = jnp.where(mdp.acting[:, None, None], rewards, mdp.rewards)
+    return eqx.tree_at(lambda mdp: mdp.rewards, mdp, new_rewards)

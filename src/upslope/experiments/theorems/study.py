@@ -1,4 +1,4 @@
-"""The paper's theorems on thousands of maps: what holds, to which precision, and what breaks them."""
+"""The paper's theorems on thousands of maps: what holds, to which precision, and what violates them."""
 
 import time
 from collections.abc import Sequence
@@ -19,6 +19,7 @@ from upslope.experiments.theorems.credit_assignment import credit_assignment
 from upslope.experiments.theorems.maps import draw_maps, kinds
 from upslope.experiments.theorems.plots import draw_theorems
 from upslope.experiments.theorems.policy_invariance import policy_invariance
+from upslope.experiments.theorems.tables import tables
 from upslope.run.machine import hardware, versions
 from upslope.run.observers import Observer
 from upslope.run.session import Session
@@ -27,16 +28,16 @@ from upslope.tasks import grid_games
 
 @dataclass(frozen=True)
 class TheoremsConfig:
-    """How thoroughly the theorems are checked.
+    """Settings of the checks.
 
     Attributes:
-        tasks: maps of each kind for Thms. 2.1 and 3.1.
-        first_seed: of the maps, of everything random on them, and of the first network.
-        seeds: networks for Thm. 3.2.
-        alternated: maps of each kind for Thm. 3.2 on tables.
-        pairs: of steps of Eqs. 8 and 9 on tables.
-        updates: the same on a network.
-        step_size: α there.
+        tasks: the number of maps of each kind for Thms. 2.1 and 3.1.
+        first_seed: the seed of the maps, of all random numbers on them, and of the first network.
+        seeds: the number of networks for Thm. 3.2.
+        alternated: the number of maps of each kind for Thm. 3.2 on tables.
+        pairs: the number of pairs of Eqs. 8 and 9 on tables.
+        updates: the number of pairs of Eqs. 8 and 9 on a network.
+        step_size: α on a network.
     """
 
     tasks: int = 2000
@@ -50,34 +51,34 @@ class TheoremsConfig:
     def __post_init__(self) -> None:
         for name, count in asdict(self).items():
             if name != "first_seed" and count <= 0:
-                raise UpslopeError(f"{name} is {count}, and nothing could be checked: give a positive number.")
+                raise UpslopeError(f"{name} is {count}, so there is nothing to check: give a positive number.")
 
 
 def quick_theorems(config: TheoremsConfig) -> TheoremsConfig:
-    """A few seconds: shows that all works."""
+    """The quick form, a few seconds: tests the code."""
     return replace(config, tasks=50, seeds=2, alternated=20, pairs=200, updates=400)
 
 
 def theorems(config: TheoremsConfig, observers: Sequence[Observer] = ()) -> dict[str, Any]:
     """Checks Thms. 2.1, 3.1 and 3.2 and returns the content of results.json."""
-    began = time.perf_counter()
+    start = time.perf_counter()
     seed = config.first_seed
     steps = [*kinds(), "network"]
-    found: dict[str, Any] = {"invariance": {}, "credit": {}, "alternation": {}}
+    results: dict[str, Any] = {"invariance": {}, "credit": {}, "alternation": {}}
     for observer in observers:
         observer.begin("theorems", len(steps), 1)
     try:
-        _tell(observers, 0, 0.0)
+        _report(observers, 0, 0.0)
         for number, (name, family) in enumerate(kinds().items()):
             maps, fewer = (draw_maps(family, count, seed) for count in (config.tasks, config.alternated))
             with jax.enable_x64(True):
-                found["invariance"][name] = policy_invariance(maps, seed)
-                found["credit"][name] = credit_assignment(maps, seed)
+                results["invariance"][name] = policy_invariance(maps, seed)
+                results["credit"][name] = credit_assignment(maps, seed)
                 every = max(config.pairs // 50, 1)
-                found["alternation"][name] = tabular(fewer, seed, pairs=config.pairs, every=every)
-            _tell(observers, number + 1, found["credit"][name]["solved"]["V*"])
+                results["alternation"][name] = tabular(fewer, seed, pairs=config.pairs, every=every)
+            _report(observers, number + 1, results["credit"][name]["solved"]["V*"])
         small = grid_games((5, 5), flat=True)
-        found["network"] = on_a_network(
+        results["network"] = on_a_network(
             small,
             small.sample(key_for(seed, Purpose.TEST_TASKS)),
             seed=seed,
@@ -86,67 +87,25 @@ def theorems(config: TheoremsConfig, observers: Sequence[Observer] = ()) -> dict
             every=max(config.updates // 40, 1),
             step_size=config.step_size,
         )
-        _tell(observers, len(steps), np.mean([run[-1] for run in found["network"]["ratios"][str(RATIOS[0])]["policy"]]))
+        optimal = [run[-1] for run in results["network"]["ratios"][str(RATIOS[0])]["policy"]]
+        _report(observers, len(steps), np.mean(optimal))
     finally:
         for observer in observers:
             observer.end()
     return {
         "experiment": "theorems",
-        **found,
+        **results,
         "stable_ratio": {str(gamma): stable_ratio(gamma) for gamma in (0.9, 0.95, 0.98)},
-        "seconds": time.perf_counter() - began,
+        "seconds": time.perf_counter() - start,
         "configuration": asdict(config),
         "versions": versions(),
         "hardware": hardware(),
     }
 
 
-def _tell(observers: Sequence[Observer], step: int, solved: float | np.floating) -> None:
+def _report(observers: Sequence[Observer], step: int, solved: float | np.floating) -> None:
     for observer in observers:
         observer.record(step, np.asarray([solved]), {}, at=time.time())
-
-
-def tables(results: dict[str, Any]) -> str:
-    """The results as the Markdown tables of docs/theorems.md."""
-    return "\n".join([*_invariance(results), "", *_credit(results), "", *_alternation(results), ""])
-
-
-def _invariance(results: dict[str, Any]) -> list[str]:
-    rows = results["invariance"]
-    potentials = list(next(iter(rows.values())))
-    head = [f"| {kind}: what is added to R | " + " | ".join(f"Φ {name}" for name in potentials) + " |" for kind in rows]
-    lines = []
-    for line, by_potential in zip(head, rows.values(), strict=True):
-        lines += [line, "|---" * (1 + len(potentials)) + "|"]
-        for added in next(iter(by_potential.values())):
-            cells = [by_potential[name][added] for name in potentials]
-            shown = " | ".join(f"{100 * cell['changed']:.1f} % / {100 * cell['solved']:.1f} %" for cell in cells)
-            lines.append(f"| {added} | {shown} |")
-        lines.append("")
-    return lines[:-1]
-
-
-def _credit(results: dict[str, Any]) -> list[str]:
-    lines = [
-        "| maps | states | optimal actions: largest size | others: largest | one outcome: largest "
-        "| solved: V* | Manhattan | no potential |",
-        "|---" * 8 + "|",
-    ]
-    for kind, row in results["credit"].items():
-        solved = " | ".join(f"{100 * row['solved'][name]:.1f} %" for name in ("V*", "Manhattan", "none"))
-        numbers = f"{row['optimal_size']:.0e} | {row['other_largest']:.0e} | {row['single_largest']:.2g}"
-        lines.append(f"| {row['maps']} × {kind} | {row['states']} | {numbers} | {solved} |")
-    return lines
-
-
-def _alternation(results: dict[str, Any]) -> list[str]:
-    lines = ["| maps | start and ratio | converged | median map, V | worst map, V |", "|---" * 5 + "|"]
-    for kind, row in results["alternation"].items():
-        for start, found in row["starts"].items():
-            share = f"{100 * found['converged']:.1f} %"
-            ends = f"{found['median'][-1]:.0e} | {found['worst'][-1]:.0e}"
-            lines.append(f"| {row['maps']} × {kind} | {start} | {share} | {ends} |")
-    return lines
 
 
 def _run(plan: Plan[TheoremsConfig], session: Session) -> dict[str, Any]:
@@ -159,9 +118,9 @@ def _write(results: dict[str, Any], folder: Path) -> None:
     draw_theorems(results, folder)
 
 
-def _print(results: dict[str, Any], folder: Path, console: Console) -> None:
+def _summarise(results: dict[str, Any], folder: Path, console: Console) -> None:
     console.print(tables(results), highlight=False, soft_wrap=True)
     console.print(f"All numbers are in [bold]{folder / 'results.json'}[/bold]; the picture is {folder / 'figure.png'}.")
 
 
-THEOREMS = Experiment(TheoremsConfig, quick_theorems, _run, _write, _print)
+THEOREMS = Experiment(TheoremsConfig, quick_theorems, _run, _write, _summarise)
