@@ -1,5 +1,6 @@
 """The verbs: what they take, what they return, and how they refuse bad arguments."""
 
+import inspect
 import pickle
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -10,13 +11,27 @@ import numpy as np
 import pytest
 
 import upslope
-from upslope import AdaptationConfig, DDPGConfig, DQNConfig, FineTuning, MetaTrainingConfig, Prior, Session
-from upslope import UpslopeError, adapt, cartpoles, grid_games, meta_train, train
+from upslope import (
+    AdaptationConfig,
+    DDPGConfig,
+    DQNConfig,
+    FineTuning,
+    MetaTrainingConfig,
+    Prior,
+    Session,
+    UpslopeError,
+    adapt,
+    cartpoles,
+    grid_games,
+    meta_train,
+    train,
+)
 from upslope.api import check_potential
 from upslope.learners import LEARNERS, suited_to
 from upslope.learners.dqn import DQN, for_maps
 from upslope.networks.dueling import DuelingQ
 from upslope.priors.prior import trained_on
+from upslope.tasks.family import as_key
 
 POLES = cartpoles()
 TASK = POLES.sample(jax.random.key(0))
@@ -105,18 +120,19 @@ def test_two_learners_for_one_kind_of_action(monkeypatch: pytest.MonkeyPatch) ->
     assert config.build(POLES, TASK, None) == DQN(POLES, TASK, None, config)
 
 
+@pytest.fixture(scope="module", params=["discrete", "continuous"])
+def result(request) -> upslope.TrainingResult:
+    if request.param == "discrete":
+        return train(POLES, TASK, updates=3, every=2, config=SMALL)
+    config = DDPGConfig(batch_size=4, warmup_steps=8, replay_capacity=64, evaluation_episodes=1)
+    return train(cartpoles(continuous=True), TASK, updates=3, every=2, config=config)
+
+
 class TestAgents:
     """Of `train`."""
 
-    @pytest.fixture(scope="class", params=["discrete", "continuous"])
-    def result(self, request):
-        if request.param == "discrete":
-            return train(POLES, TASK, updates=3, every=2, config=SMALL)
-        config = DDPGConfig(batch_size=4, warmup_steps=8, replay_capacity=64, evaluation_episodes=1)
-        return train(cartpoles(continuous=True), TASK, updates=3, every=2, config=config)
-
     def test_they_act_greedily(self, result):
-        obs = np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32)
+        obs = np.random.default_rng(0).normal(scale=10, size=(200, 4)).astype(np.float32)
         expected = np.asarray(jax.vmap(result.agent.network.best)(obs))
         actions = result.agent.act(obs)
         assert isinstance(actions, np.ndarray)
@@ -209,24 +225,24 @@ def test_adaptation_returns_a_posterior_that_acts() -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("verb", "arguments", "settings", "words"),
     [
-        (lambda: adapt(prior_of(), POLES, TASK), r"family of adapt must be.*adapt\(family, task, prior"),
-        (lambda: adapt(POLES, TASK, None), "prior of adapt must be of the type Prior"),
-        (lambda: adapt(POLES, TASK, prior_of(), step_size=-1.0), "step size is -1.0"),
-        (lambda: adapt(POLES, TASK, prior_of(), step_size=float("nan")), "step size is nan"),
-        (lambda: adapt(POLES, TASK, prior_of(), config=SMALL), "of the type AdaptationConfig, but DQNConfig"),
-        (lambda: meta_train(POLES, config={"iterations": 3}), "of the type MetaTrainingConfig, but dict"),
-        (lambda: meta_train("cartpole"), "of the type AbstractFamily, but str"),
-        (lambda: train(POLES, TASK, config={"batch_size": 3}), "of the type AbstractLearnerConfig, but dict"),
-        (lambda: DQNConfig(batch_size=0), "batch_size is 0"),
-        (lambda: AdaptationConfig(epsilon=1.5), "epsilon is 1.5"),
-        (lambda: POLES.sample("seed"), "'seed' was given"),
+        (adapt, lambda: (prior_of(), POLES, TASK), {}, r"family of adapt must be.*adapt\(family, task, prior"),
+        (adapt, lambda: (POLES, TASK, None), {}, "prior of adapt must be of the type Prior"),
+        (adapt, lambda: (POLES, TASK, prior_of()), {"step_size": -1.0}, "step size is -1.0"),
+        (adapt, lambda: (POLES, TASK, prior_of()), {"step_size": float("nan")}, "step size is nan"),
+        (adapt, lambda: (POLES, TASK, prior_of()), {"config": SMALL}, "of the type AdaptationConfig, but DQNConfig"),
+        (meta_train, lambda: (POLES,), {"config": {"iterations": 3}}, "of the type MetaTrainingConfig, but dict"),
+        (meta_train, lambda: ("cartpole",), {}, "of the type AbstractFamily, but str"),
+        (train, lambda: (POLES, TASK), {"config": {"batch_size": 3}}, "of the type AbstractLearnerConfig, but dict"),
+        (DQNConfig, tuple, {"batch_size": 0}, "batch_size is 0"),
+        (AdaptationConfig, tuple, {"epsilon": 1.5}, "epsilon is 1.5"),
+        (as_key, lambda: ("seed",), {}, "'seed' was given"),
     ],
 )
-def test_arguments_of_another_type(call, words) -> None:
+def test_bad_arguments(verb, arguments, settings, words) -> None:
     with pytest.raises(UpslopeError, match=words):
-        call()
+        inspect.unwrap(verb)(*arguments(), **settings)  # users have no type checks at run time
 
 
 def test_an_integer_draws_the_task_of_its_key() -> None:

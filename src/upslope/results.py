@@ -10,7 +10,7 @@ from upslope.learners.curve import LearningCurve
 from upslope.priors.prior import Prior
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrainingResult:
     """What `upslope.train` returns.
 
@@ -41,7 +41,7 @@ class TrainingResult:
         return f"TrainingResult({self.curve.summary()},\n  {self.agent!r})"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AdaptationResult:
     """What `upslope.adapt` returns.
 

@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar
 
-from tyro import MISSING
 from tyro.conf import Positional, arg, subcommand
 
 from upslope.adaptation.algorithm2 import AdaptationConfig
 from upslope.adaptation.rules import RECIPES, RULES
 from upslope.api import adapt, check_step_size
-from upslope.cli.arguments import option
+from upslope.cli.arguments import default, option
 from upslope.cli.families import DEFAULT, FamilyName, family_settings
 from upslope.cli.prior_files import prior_file
 from upslope.cli.runs import check_counts, print_returns, settings_of
@@ -23,10 +22,11 @@ from upslope.tasks.settings import AbstractFamilySettings, AbstractTaskChoice
 
 Settings = TypeVar("Settings", bound=AbstractFamilySettings)
 Choice = TypeVar("Choice", bound=AbstractTaskChoice)
+Config = TypeVar("Config", bound=AdaptationConfig)
 
 
 @dataclass(frozen=True)
-class Adapt(Generic[Settings, Choice]):
+class Adapt(Generic[Settings, Choice, Config]):
     """Algorithm 2: adapt a prior to one new task while solving it; or MAML and the controls.
 
     The options depend on the family: see `upslope adapt --family FAMILY --help`.
@@ -34,10 +34,10 @@ class Adapt(Generic[Settings, Choice]):
 
     prior: Annotated[Positional[str], arg(metavar="PRIOR")]
     """File of the prior to start from, or the name of a shipped one."""
-    family: FamilyName
     tasks: Annotated[Settings, arg(name="")]
     task: Annotated[Choice, arg(name="")]
-    config: Annotated[AdaptationConfig, arg(name="")]
+    config: Annotated[Config, arg(name="")]
+    family: FamilyName = DEFAULT
     rule: Annotated[str, arg(metavar="RULE", help=f"{', '.join(RULES)}.")] = "algorithm2"
     updates: int = 20
     """Updates: pairs of Eqs. 8 and 9."""
@@ -85,7 +85,6 @@ def command(arguments: Sequence[str]) -> Any:
     """
     family = option(arguments, "family", DEFAULT)
     tasks = family_settings(family)
-    task = tasks.task_choice()
-    default: Any = Adapt(MISSING, family, tasks, task, RECIPES[tasks.recipe]())
-    form: Any = Adapt[type(tasks), type(task)]  # type: ignore[misc]
-    return Annotated[form, subcommand("adapt", default=default)]
+    config = RECIPES[tasks.recipe]()
+    form: Any = Adapt[default(tasks), default(tasks.task_choice()), default(config)]  # type: ignore[misc]
+    return Annotated[form, subcommand("adapt")]

@@ -1,6 +1,9 @@
 """A first look at the arguments: the names that decide which options a command has."""
 
 from collections.abc import Collection, Sequence
+from typing import Annotated, Any
+
+from tyro.conf import arg
 
 from upslope.errors import UpslopeError
 
@@ -27,6 +30,11 @@ def option(arguments: Sequence[str], name: str, default: str) -> str:
         elif argument.startswith(f"--{name}="):
             value = argument.partition("=")[2]
     return value
+
+
+def default(settings: Any) -> Any:
+    """The type of some settings, with these as the defaults on the command line."""
+    return Annotated[type(settings), arg(default=settings)]
 
 
 def check_first(command: str, name: str, was_found: bool) -> None:

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar
 
-from tyro import MISSING
 from tyro.conf import Positional, arg, subcommand
 
 from upslope.api import train
-from upslope.cli.arguments import check_first, first_name, option
+from upslope.cli.arguments import check_first, default, first_name, option
 from upslope.cli.families import DEFAULT, FamilyName, family_settings
 from upslope.cli.prior_files import prior_file
 from upslope.cli.runs import check_counts, print_returns, settings_of
@@ -41,10 +40,10 @@ class Train(Generic[Settings, Choice, Config]):
     """
 
     learner: LearnerName
-    family: FamilyName
     tasks: Annotated[Settings, arg(name="")]
     task: Annotated[Choice, arg(name="")]
     config: Annotated[Config, arg(name="")]
+    family: FamilyName = DEFAULT
     prior: str | None = None
     """File of the prior whose V head shapes the rewards, or the name of a shipped one; no shaping by default."""
     updates: int = 1000
@@ -96,7 +95,6 @@ def command(arguments: Sequence[str]) -> Any:
         raise UpslopeError(f"There is no learner {learner!r}: choose one of {', '.join(LEARNERS)}.")
     family = option(arguments, "family", DEFAULT)
     tasks = family_settings(family)
-    task, config = tasks.task_choice(), LEARNERS[learner].for_recipe(tasks.recipe)
-    default: Any = Train(MISSING, family, tasks, task, config)
-    form: Any = Train[type(tasks), type(task), type(config)]  # type: ignore[misc]
-    return Annotated[form, subcommand("train", default=default)]
+    config = LEARNERS[learner].for_recipe(tasks.recipe)
+    form: Any = Train[default(tasks), default(tasks.task_choice()), default(config)]  # type: ignore[misc]
+    return Annotated[form, subcommand("train")]

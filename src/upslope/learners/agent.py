@@ -50,7 +50,7 @@ class AgentRecord:
     version: str = field(default_factory=lambda: version("upslope"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Agent:
     """A trained policy.
 

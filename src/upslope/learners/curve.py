@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LearningCurve:
     """How well a learner did at each of its reports, the first of them before any update.
 

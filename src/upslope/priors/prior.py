@@ -1,7 +1,7 @@
 """A prior: the meta-learned network together with what it was trained on; saved as one safetensors file."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -24,7 +24,7 @@ from upslope.priors.prior_file import TrainedOn, read_prior_file, write_prior_fi
 from upslope.tasks.family import AbstractFamily
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Prior:
     """θ and its provenance. Call it on observations for Φ(s) = V_θ(s); it also acts, by its A head.
 
@@ -36,7 +36,7 @@ class Prior:
 
     network: DuelingQ
     trained_on: TrainedOn
-    curve: LearningCurve | None = field(default=None, compare=False)
+    curve: LearningCurve | None = None
 
     @property
     def gamma(self) -> float:
