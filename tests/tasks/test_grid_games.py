@@ -113,7 +113,7 @@ class TestCollecting:
         assert 0 < returns.sum() < 50
 
 
-class TestSettings:
+class TestNamedFamilies:
     """The families by their names on the command line."""
 
     def test_every_family_has_its_name(self):

@@ -16,7 +16,7 @@ from upslope.cli.prior_files import prior_file
 from upslope.cli.runs import check_counts, print_returns, settings_of
 from upslope.errors import UpslopeError
 from upslope.priors.prior import Prior
-from upslope.run.folder import claimed
+from upslope.run.folder import claim
 from upslope.run.session import session_in
 from upslope.tasks.settings import AbstractFamilySettings, AbstractTaskChoice
 
@@ -59,7 +59,7 @@ class Adapt(Generic[Settings, Choice, Config]):
         task, description = self.task.task(family, self.seed)
         check_counts(updates=self.updates)
         check_step_size(self.step_size)
-        with claimed(self.out, "adapted", settings_of(self), resume=self.resume) as folder:
+        with claim(self.out, "adapted", settings_of(self), resume=self.resume) as folder:
             result = adapt(
                 family,
                 task,

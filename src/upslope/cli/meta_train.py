@@ -15,7 +15,7 @@ from upslope.errors import UpslopeError
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.posteriors import POSTERIORS
 from upslope.meta_training.recipes import RECIPES, as_printed
-from upslope.run.folder import claimed
+from upslope.run.folder import claim
 from upslope.run.session import session_in
 from upslope.tasks.settings import FAMILIES, AbstractFamilySettings
 
@@ -56,7 +56,7 @@ class MetaTrain(Generic[Settings]):
     def __call__(self) -> None:
         check_first("meta-train", self.family, type(self.tasks) is type(family_settings(self.family)))
         family = self.tasks.build("train")
-        with claimed(self.out, "prior", settings_of(self), resume=self.resume) as folder:
+        with claim(self.out, "prior", settings_of(self), resume=self.resume) as folder:
             session = session_in(folder, resume=self.resume)
             prior = meta_train(family, seed=self.seed, config=self.config, session=session)
             path = folder / "prior.safetensors"

@@ -15,7 +15,7 @@ from upslope.cli.runs import check_counts, print_returns, settings_of
 from upslope.errors import UpslopeError
 from upslope.learners import LEARNERS, AbstractLearnerConfig
 from upslope.priors.prior import Prior
-from upslope.run.folder import claimed
+from upslope.run.folder import claim
 from upslope.run.session import session_in
 from upslope.tasks.settings import AbstractFamilySettings, AbstractTaskChoice
 
@@ -66,7 +66,7 @@ class Train(Generic[Settings, Choice, Config]):
             prior.check(family)
         task, description = self.task.task(family, self.seed)
         check_counts(updates=self.updates, every=self.every)
-        with claimed(self.out, self.learner, settings_of(self), resume=self.resume) as folder:
+        with claim(self.out, self.learner, settings_of(self), resume=self.resume) as folder:
             result = train(
                 family,
                 task,
