@@ -13,7 +13,6 @@ import numpy as np
 import tyro
 
 import upslope
-from upslope.learners.dqn import DQNConfig
 
 
 @dataclass(frozen=True)
@@ -44,15 +43,15 @@ def main(options: Options) -> None:
     family = upslope.gymnax_tasks(env, sample, gamma=0.97)
     config = upslope.MetaTrainingConfig(iterations=iterations, snapshot_every=max(1, iterations // 10))
     prior = upslope.meta_train(family, seed=options.seed, config=config)
-    dqn = DQNConfig(warmup_steps=64) if options.quick else DQNConfig(decay_updates=updates)
+    dqn = upslope.DQNConfig(warmup_steps=64) if options.quick else upslope.DQNConfig(decay_updates=updates)
     for shaped in (False, True):
         returns = []
         for index in range(links):
             task = family.sample(jax.random.key(10_000 + index))
-            outcome = upslope.train(
+            result = upslope.train(
                 family, task, prior if shaped else None, updates=updates, every=updates // 10, seed=index, config=dqn
             )
-            returns.append(outcome.reports["return"][0])
+            returns.append(result.returns)
         median = np.median(returns, axis=0)
         arm = "shaped" if shaped else "unshaped"
         print(f"{arm}: raw return {median.mean():.0f} on average, {median[-1]:.0f} at the end")

@@ -64,7 +64,7 @@ def learn(kind: str, session: Session) -> None:
         meta_train(POLES, config=MetaTrainingConfig(iterations=400, snapshot_every=40), session=session)
     elif kind == "adaptation":
         network = DuelingQ(jax.random.key(1), 4, 2)
-        adapt(Prior(network, trained_on(POLES, network, 0, {})), POLES, task, updates=400, session=session)
+        adapt(POLES, task, Prior(network, trained_on(POLES, network, 0, {})), updates=400, session=session)
     elif kind == "host-meta-training":
         meta_train(host_poles(), config=MetaTrainingConfig(iterations=15, snapshot_every=1, **FEW), session=session)
     elif kind == "host-dqn":

@@ -1,27 +1,30 @@
 """The verbs: meta-train a prior, adapt it to a task, train an agent with or without shaping."""
 
+import math
 from dataclasses import asdict
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from upslope.adaptation import algorithm2 as adaptation
+from upslope.adaptation import rules
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
 from upslope.errors import UpslopeError
-from upslope.learners import dqn
-from upslope.learners.ddpg import DDPG, DDPGConfig
-from upslope.learners.dqn import DQN, DQNConfig
+from upslope.learners import AbstractLearnerConfig
+from upslope.learners import suited_to as learner_suited_to
+from upslope.learners.agent import Agent, record
+from upslope.learners.curve import LearningCurve
+from upslope.learners.learner import AbstractLearner
 from upslope.learners.shaping import Shaping, potential_based
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.recipes import suited_to
 from upslope.priors.prior import Prior, trained_on
+from upslope.results import AdaptationResult, TrainingResult
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
-from upslope.run.session import Session
+from upslope.run.session import Session, with_progress
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Observation, Potential, Task
 
@@ -32,27 +35,33 @@ def meta_train(
     seed: int = 0,
     config: MetaTrainingConfig | None = None,
     session: Session | None = None,
+    progress: bool | None = None,
 ) -> Prior:
-    """Algorithm 1: learns a prior over a family of tasks, by the recipe that suits it where no settings are given.
+    """Algorithm 1: learns a prior over a family of tasks.
+
+    Args:
+        family: p(T).
+        seed: of everything random.
+        config: settings; by default the recipe that suits the family.
+        session: observers and checkpoints.
+        progress: show a progress bar; by default in a terminal or a notebook, unless the session has observers.
+
+    Returns:
+        The prior, with its learning curve in ``prior.curve``.
 
     Raises:
-        UpslopeError: training that diverges.
+        UpslopeError: arguments of another type, or training that diverges.
     """
-    config = config or suited_to(family)
-    keys = jax.random.key(seed)[None]
-    outcome = run(
-        broadcast(MetaTraining(family, config), (1,)),
-        keys,
-        updates=config.iterations,
-        every=config.snapshot_every,
-        title="meta-training",
-        session=session,
-    )
+    _check_type("meta_train", "family", family, AbstractFamily)
+    config = suited_to(family) if config is None else config
+    _check_type("meta_train", "config", config, MetaTrainingConfig)
+    learner = MetaTraining(family, config)
+    outcome = _run_one(learner, seed, config.iterations, config.snapshot_every, "meta-training", session, progress)
     return best_prior(family, outcome, config, 0, seed)
 
 
 def best_prior(family: AbstractFamily, outcome: Outcome, config: MetaTrainingConfig, index: int, seed: int) -> Prior:
-    """The best snapshot of one meta-training among several, with its provenance.
+    """The best snapshot of one meta-training among several, with its provenance and learning curve.
 
     Args:
         family: that it was trained on.
@@ -61,63 +70,11 @@ def best_prior(family: AbstractFamily, outcome: Outcome, config: MetaTrainingCon
         index: which of the run's learners.
         seed: that it began with.
     """
-    returns = outcome.reports["return"][index]
-    best = config.best_snapshot(returns)
+    curve = _curve(outcome, index)
+    best = config.best_snapshot(curve.returns)
     network = jax.tree.map(lambda leaf: jnp.asarray(leaf[index, best]), outcome.reports["prior"])
-    measured = {"iteration": int(outcome.updates[best]), "return_on_training_tasks": float(returns[best])}
-    return Prior(network, trained_on(family, network, seed, asdict(config) | measured))
-
-
-def adapt(
-    prior: Prior,
-    family: AbstractFamily,
-    task: Task,
-    *,
-    updates: int = 20,
-    step_size: float = 1e-3,
-    rule: UpdateRule | None = None,
-    seed: int = 0,
-    config: AdaptationConfig | None = None,
-    session: Session | None = None,
-) -> tuple[Prior, np.ndarray]:
-    """Algorithm 2: adapts a prior to one new task while learning to solve it.
-
-    Args:
-        prior: θ.
-        family: of the task.
-        task: one task, unstacked; for example ``family.sample(key)``.
-        updates: pairs of Eqs. 8 and 9.
-        step_size: α.
-        rule: another arm, such as ``FineTuning()`` for MAML; Algorithm 2 by default.
-        seed: of the experience.
-        config: sizes of batches and replay.
-        session: who watches, and where checkpoints go.
-
-    Returns:
-        The task-posterior, and the raw greedy return before the first and after each update ``[updates + 1]``.
-
-    Raises:
-        UpslopeError: a prior from another family, or with another γ, observation shape or number of actions.
-    """
-    prior.check(family, acting=True)
-    learner = Adaptation(
-        family,
-        task,
-        prior.network,
-        jnp.asarray(step_size),
-        rule or AdvantageHead(),
-        config or (adaptation.for_maps() if _on_maps(family) else AdaptationConfig()),
-    )
-    outcome = run(
-        broadcast(learner, (1,)),
-        jax.random.key(seed)[None],
-        updates=updates,
-        every=1,
-        title="adaptation",
-        session=session,
-    )
-    network = jax.tree.map(lambda leaf: leaf[0], outcome.states.phi)
-    return Prior(network, prior.trained_on), outcome.reports["return"][0]
+    measured = {"iteration": int(curve.updates[best]), "return_on_training_tasks": float(curve.returns[best])}
+    return Prior(network, trained_on(family, network, seed, asdict(config) | measured), curve)
 
 
 def train(
@@ -128,10 +85,11 @@ def train(
     updates: int = 1000,
     every: int = 100,
     seed: int = 0,
-    config: DQNConfig | DDPGConfig | None = None,
+    config: AbstractLearnerConfig | None = None,
     session: Session | None = None,
-) -> Outcome:
-    """Trains an agent on one task: DQN on discrete actions, DDPG on continuous ones.
+    progress: bool | None = None,
+) -> TrainingResult:
+    """Trains an agent on one task: by default DQN on discrete actions, DDPG on continuous ones.
 
     Args:
         family: of the task.
@@ -141,43 +99,132 @@ def train(
         updates: gradient updates.
         every: updates between reports of the raw greedy return.
         seed: of the agent and its experience.
-        config: of the agent.
-        session: who watches, and where checkpoints go.
+        config: settings of the learner, which also say which learner it is; by default those that suit the family.
+        session: observers and checkpoints.
+        progress: show a progress bar; by default in a terminal or a notebook, unless the session has observers.
 
     Raises:
-        UpslopeError: a prior that does not belong to the tasks, or a potential of the wrong shape or not finite.
+        UpslopeError: a prior that does not belong to the tasks, a potential of the wrong shape or not finite, or a
+            learner for another kind of action.
     """
-    learner = agent(family, task, _shaping(family, potential), config)
+    _check_type("train", "family", family, AbstractFamily)
+    config = learner_suited_to(family) if config is None else config
+    _check_type("train", "config", config, AbstractLearnerConfig)
+    learner = config.build(family, task, _shaping(family, potential))
+    outcome = _run_one(learner, seed, updates, every, config.name.upper(), session, progress)
+    network = config.acting(_final_state(outcome))
+    return TrainingResult(Agent(network, record(config, family, seed)), _curve(outcome, 0))
+
+
+def adapt(
+    family: AbstractFamily,
+    task: Task,
+    prior: Prior,
+    *,
+    updates: int = 20,
+    step_size: float = 1e-3,
+    rule: UpdateRule | None = None,
+    seed: int = 0,
+    config: AdaptationConfig | None = None,
+    session: Session | None = None,
+    progress: bool | None = None,
+) -> AdaptationResult:
+    """Algorithm 2: adapts a prior to one new task while learning to solve it.
+
+    Args:
+        family: of the task.
+        task: one task, unstacked; for example ``family.sample(key)``.
+        prior: θ.
+        updates: pairs of Eqs. 8 and 9.
+        step_size: α.
+        rule: another arm, such as ``FineTuning()`` for MAML; Algorithm 2 by default.
+        seed: of the experience.
+        config: sizes of batches and replay; by default those that suit the family.
+        session: observers and checkpoints.
+        progress: show a progress bar; by default in a terminal or a notebook, unless the session has observers.
+
+    Returns:
+        The task-posterior and its learning curve, with a report before the first and after each update.
+
+    Raises:
+        UpslopeError: a prior from another family, or with another γ, observation shape or number of actions; a step
+            size that is not positive; arguments of another type or in another order.
+    """
+    _check_type("adapt", "family", family, AbstractFamily)
+    _check_type("adapt", "prior", prior, Prior)
+    config = rules.suited_to(family) if config is None else config
+    _check_type("adapt", "config", config, AdaptationConfig)
+    check_step_size(step_size)
+    prior.check(family, acting=True)
+    learner = Adaptation(family, task, prior.network, jnp.asarray(step_size), rule or AdvantageHead(), config)
+    outcome = _run_one(learner, seed, updates, 1, "adaptation", session, progress)
+    return AdaptationResult(Prior(_final_state(outcome).phi, prior.trained_on), _curve(outcome, 0))
+
+
+#: The order of each verb's arguments, for messages.
+_ORDERS = {
+    "meta_train": "meta_train(family, config=...)",
+    "train": "train(family, task, potential, config=...)",
+    "adapt": "adapt(family, task, prior, config=...)",
+}
+
+
+def _check_type(verb: str, name: str, given: Any, needed: type) -> None:
+    if not isinstance(given, needed):
+        raise UpslopeError(
+            f"The {name} of {verb} must be of the type {needed.__name__}, but {type(given).__name__} was given: "
+            f"call {_ORDERS[verb]}."
+        )
+
+
+def check_step_size(step_size: float) -> None:
+    """Whether α can be a step size.
+
+    Raises:
+        UpslopeError: it is not a positive number.
+    """
+    if not (math.isfinite(step_size) and step_size > 0):
+        raise UpslopeError(f"The step size is {step_size}: give a positive number such as 0.001.")
+
+
+def _run_one(
+    learner: AbstractLearner,
+    seed: int,
+    updates: int,
+    every: int,
+    title: str,
+    session: Session | None,
+    progress: bool | None,
+) -> Outcome:
+    """A run of one learner, as a batch of one."""
     return run(
         broadcast(learner, (1,)),
         jax.random.key(seed)[None],
         updates=updates,
         every=every,
-        title="DDPG" if family.actions.kind == "continuous" else "DQN",
-        session=session,
+        title=title,
+        session=with_progress(session, progress),
     )
 
 
-def agent(
-    family: AbstractFamily, task: Task, shaping: Shaping | None, config: DQNConfig | DDPGConfig | None = None
-) -> DQN | DDPG:
-    """The learner for a family's kind of actions.
+def _final_state(outcome: Outcome) -> Any:
+    """The state of a batch of one learner at the end.
 
     Raises:
-        UpslopeError: settings of the other kind of learner.
+        UpslopeError: the run was finished before, and its checkpoints hold no states.
     """
-    if family.actions.kind == "continuous":
-        if isinstance(config, DQNConfig):
-            raise UpslopeError("DQN needs discrete actions, but these tasks have continuous ones: use DDPG.")
-        return DDPG(family, task, shaping, config or DDPGConfig())
-    if isinstance(config, DDPGConfig):
-        raise UpslopeError("DDPG needs continuous actions, but these tasks have discrete ones: use DQN.")
-    return DQN(family, task, shaping, config or (dqn.for_maps() if _on_maps(family) else DQNConfig()))
+    if outcome.flat_states is None:
+        raise UpslopeError(
+            "This run was finished before, and its final state was not kept: "
+            "give Checkpoints(..., final_states=True), and run it again in an empty folder."
+        )
+    return jax.tree.map(lambda leaf: leaf[0], outcome.states)
 
 
-def _on_maps(family: AbstractFamily) -> bool:
-    """Whether observations are maps, for which networks are convolutional and learners have settings of their own."""
-    return family.recipe in ("images", "maps")
+def _curve(outcome: Outcome, index: int) -> LearningCurve:
+    """The learning curve of one of a run's learners."""
+    metrics = {name: values[index] for name, values in outcome.metrics.items()}
+    return LearningCurve(outcome.updates, outcome.reports["return"][index], metrics)
 
 
 def _shaping(family: AbstractFamily, potential: Potential | Prior | None) -> Shaping | None:

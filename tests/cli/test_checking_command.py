@@ -6,7 +6,8 @@ import sys
 import pytest
 
 from upslope import UpslopeError
-from upslope.cli.check import Check, find
+from upslope.cli.check import Check
+from upslope.cli.places import find_function
 
 MODULE = """
 import gymnasium as gym
@@ -60,16 +61,16 @@ def test_the_command_line(folder):
 @pytest.mark.parametrize(
     ("place", "words"),
     [
-        ("my_envs", "names no function"),
-        ("my_envs:", "names no function"),
-        ("my_envs:gone", "was not found"),
-        ("gone:right", "was not found"),
+        ("my_envs", "does not name anything"),
+        ("my_envs:", "does not name anything"),
+        ("my_envs:gone", "can't be imported"),
+        ("gone:right", "can't be imported"),
         ("my_envs:number", "must be a function"),
     ],
 )
 def test_places_that_are_not_there(folder, place, words):
     with pytest.raises(UpslopeError, match=words):
-        find(place)
+        find_function(place)
 
 
 def test_a_factory_that_raises(folder):

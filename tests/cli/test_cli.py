@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+import upslope
+from upslope import Agent
 from upslope.cli.main import main
 from upslope.priors.prior import Prior
 
@@ -44,6 +46,10 @@ def test_train_with_and_without_shaping(
     out = " ".join(capsys.readouterr().out.split())
     assert "dqn on a pole of 1.50 m" in out
     assert "ddpg on a pole of 1.50 m, no shaping" in out
+    agent = Agent.load(tmp_path / "a" / "agent.safetensors")
+    assert agent.act([0.0, 0.1, 0.05, -0.2]) in (0, 1)
+    assert agent.trained_on.learner == "dqn"
+    assert Agent.load(tmp_path / "b" / "agent.safetensors").trained_on.learner == "ddpg"
     lines = [json.loads(line) for line in (tmp_path / "a" / "logs" / "DQN" / "metrics.jsonl").read_text().splitlines()]
     assert [line["update"] for line in lines] == [0, 5, 10]
 
@@ -69,7 +75,16 @@ def test_adapt_saves_a_posterior(prior_file: Path, tmp_path: Path, monkeypatch: 
         (["train", "dqn", "--pole", "-2"], ["-2.0 m"]),
         (["train", "dqn", "--updates", "0"], ["0 updates", "--updates"]),
         (["train", "dqn", "--prior", "nowhere.safetensors"], ["nowhere.safetensors"]),
-        (["adapt", "nowhere.safetensors"], ["nowhere.safetensors"]),
+        (["train", "dqn", "--batch-size", "0"], ["batch_size is 0"]),
+        (["adapt", "nowhere.safetensors"], ["nowhere.safetensors", "cartpole"]),
+        (["adapt", "cartpole", "--step-size", "-1"], ["step size is -1.0"]),
+        (["adapt", "cartpole", "--rule", "sgd"], ["'sgd'", "maml"]),
+        (["adapt", "cartpole", "--updates", "0"], ["0 updates", "--updates"]),
+        (["meta-train", "cartpole", "--posterior", "tables"], ["'tables'", "table"]),
+        (["meta-train", "nowhere:family"], ["nowhere:family can't be imported"]),
+        (["meta-train", "upslope.tasks:FAMILIES"], ["is dict, but must be a family"]),
+        (["train", "ddpg", "--family", "upslope.tasks:cartpoles"], ["DDPG needs continuous actions"]),
+        (["meta-train", "--out", "clean", "grid"], ["Write grid directly after the command"]),
     ],
 )
 def test_bad_input(
@@ -88,6 +103,68 @@ def test_bad_input(
     assert len(message.splitlines()) == 1
     assert all(word in message for word in words)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (["meta-train", "cartpole", "--slip", "0.3"], "--slip"),
+        (["meta-train", "cartpole", "--pole", "1"], "--pole"),
+        (["meta-train", "grid", "--length", "1", "2"], "--length"),
+        (["meta-train", "clean", "--obstacles", "0.1"], "--obstacles"),
+        (["meta-train", "cartpole", "--reward-weight", "2"], "--reward-weight"),
+        (["meta-train", "grid", "--outer-target", "kept"], "--outer-target"),
+        (["meta-train", "upslope.tasks:cartpoles", "--length", "1", "2"], "--length"),
+        (["train", "dqn", "--noise", "0.1"], "--noise"),
+        (["train", "ddpg", "--epsilon", "0.1"], "--epsilon"),
+        (["train", "dqn", "--family", "grid", "--pole", "1"], "--pole"),
+        (["adapt", "cartpole", "--family=obstacles", "--pole", "1"], "--pole"),
+    ],
+)
+def test_options_that_do_not_apply_are_errors(
+    arguments: list[str], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, *arguments)
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert "Unrecognized" in error
+    assert option in error
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "shown", "hidden"),
+    [
+        (["meta-train", "cartpole"], {"--length", "--outer-target", "--iterations"}, {"--slip", "--reward-weight"}),
+        (["meta-train", "grid"], {"--slip", "--size", "--reward-weight"}, {"--length", "--outer-target", "--name"}),
+        (["meta-train", "grid", "--posterior", "network"], {"--outer-target"}, {"--reward-weight"}),
+        (["train", "dqn", "--family", "clean"], {"--epsilon", "--target-rate"}, {"--pole", "--noise", "--slip"}),
+        (["train", "ddpg"], {"--noise", "--pole"}, {"--epsilon", "--slip"}),
+        (["adapt", "--family", "grid"], {"--size", "--step-size"}, {"--pole"}),
+    ],
+)
+def test_help_shows_what_applies(
+    arguments: list[str],
+    shown: set[str],
+    hidden: set[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, *arguments, "--help")
+    assert stop.value.code == 0
+    words = set(capsys.readouterr().out.replace(",", " ").split())
+    assert shown <= words
+    assert not hidden & words
+
+
+def test_the_version(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit) as stop:
+        call(monkeypatch, "--version")
+    assert stop.value.code == 0
+    assert capsys.readouterr().out == f"upslope {upslope.__version__}\n"
 
 
 @pytest.mark.parametrize("arguments", [["--gamma", "0.9"]])

@@ -1,46 +1,54 @@
 """The command line on maps: the recipe as default, and one prior through all verbs."""
 
 import sys
+from dataclasses import replace
 
 import pytest
 
-from upslope.cli.commands import MetaTrain
 from upslope.cli.main import main, parse
+from upslope.cli.meta_train import MetaTrain
+from upslope.learners.dqn import DQNConfig, for_maps
 from upslope.meta_training.config import MetaTrainingConfig
-from upslope.meta_training.recipes import for_grid_games
+from upslope.meta_training.posteriors import NetworkPosterior
+from upslope.meta_training.recipes import as_printed, for_grid_games
 from upslope.priors.prior import Prior
 
 
-def parsed(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["upslope", *arguments])
-    return parse()
-
-
 @pytest.mark.parametrize(("family", "iterations"), [("grid", 8000), ("obstacles", 8000), ("clean", 3000)])
-def test_the_defaults_are_the_family_s_recipe(family, iterations, monkeypatch):
-    command = parsed(monkeypatch, "meta-train", family)
+def test_the_defaults_are_the_family_s_recipe(family, iterations):
+    command = parse(["meta-train", family])
     assert isinstance(command, MetaTrain)
     assert command.config == for_grid_games(iterations)
 
 
-def test_what_is_given_counts_even_if_it_is_the_default_elsewhere(monkeypatch):
-    command = parsed(monkeypatch, "meta-train", "--inner-steps", "1", "grid", "--size", "5", "6", "--gamma", "0.8")
-    assert command.config.inner_steps == MetaTrainingConfig().inner_steps == 1
-    assert command.config.advantage_weight == for_grid_games().advantage_weight
+def test_options_change_single_settings():
+    command = parse(["meta-train", "--inner-steps", "1", "grid", "--size", "5", "6", "--gamma", "0.8"])
+    assert command.config == for_grid_games().with_posterior(inner_steps=1)
     assert command.tasks.size == (5, 6)
-    assert command.tasks.family("grid").gamma == 0.8
+    assert command.tasks.build().gamma == 0.8
 
 
-def test_poles_keep_theirs(monkeypatch):
-    assert parsed(monkeypatch, "meta-train", "cartpole").config == MetaTrainingConfig()
+def test_poles_have_their_own_recipe():
+    assert parse(["meta-train", "cartpole"]).config == MetaTrainingConfig()
+    assert parse(["meta-train"]).config == MetaTrainingConfig()
+    assert parse(["meta-train", "cartpole", "--printed"]).config == as_printed()
+
+
+def test_another_posterior():
+    command = parse(["meta-train", "grid", "--posterior", "network", "--inner-steps", "2"])
+    assert command.config == replace(for_grid_games(), posterior=NetworkPosterior(inner_steps=2))
+
+
+def test_learners_have_the_family_s_settings():
+    assert parse(["train", "dqn", "--family", "clean"]).config == for_maps()
+    assert parse(["train", "dqn", "--epsilon", "0.2"]).config == DQNConfig(epsilon=0.2)
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["reproduce", "all", "--seeds", "2"], "own seeds, tasks, iterations and priors"),
-        (["train", "ddpg", "--family", "obstacles"], "use dqn"),
-        (["train", "dqn", "--family", "grid", "--pole", "1"], "no pole"),
+        (["reproduce", "all", "--seeds", "2"], "own seeds, tasks, iterations, priors"),
+        (["train", "ddpg", "--family", "obstacles"], "DDPG needs continuous actions"),
         (["meta-train", "grid", "--obstacles", "1.5"], "obstacles is 1.5"),
     ],
 )
@@ -68,4 +76,4 @@ def test_one_prior_through_all_verbs(tmp_path, monkeypatch, capsys):
         main()
     assert Prior.load(file).trained_on.observation_shape == (4, 4, 4)
     assert Prior.load(tmp_path / "a" / "posterior.safetensors").gamma == 0.9
-    assert "dqn on map 0" in " ".join(capsys.readouterr().out.split())
+    assert "dqn on grid task 0" in " ".join(capsys.readouterr().out.split())

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import upslope
+
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 
 
@@ -16,10 +18,12 @@ def test_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     names: dict = {}
     exec(compile(code, "README.md", "exec"), names)
     assert (tmp_path / "cartpole.safetensors").is_file()
-    assert names["returns"].shape == (21,)
-    assert names["outcome"].reports["return"].shape == (1, 11)
-    output = capsys.readouterr().out
-    assert output.startswith("[[")
+    assert names["adapted"].returns.shape == (21,)
+    assert names["result"].returns.shape == (11,)
+    agent = upslope.Agent.load(tmp_path / "agent.safetensors")
+    first_line, action = capsys.readouterr().out.splitlines()[:2]
+    assert first_line.startswith("[")
+    assert agent.act([0.0, 0.1, 0.05, -0.2]) == int(action)
     assert names["shaped"].gamma == 0.98
 
 

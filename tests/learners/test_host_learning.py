@@ -58,29 +58,29 @@ def test_adaptation(prior, rule):
     family = FAMILY
     config = AdaptationConfig(batch_size=8, steps_per_update=10, evaluation_episodes=1, replay_capacity=64)
     task = family.sample(jax.random.key(5))
-    posterior, returns = upslope.adapt(prior, family, task, updates=3, rule=rule, config=config)
-    assert returns.shape == (4,)
-    assert np.all((returns >= 1) & (returns <= 12))
-    assert posterior.to_numpy() != prior.to_numpy()
+    result = upslope.adapt(family, task, prior, updates=3, rule=rule, config=config)
+    assert result.returns.shape == (4,)
+    assert np.all((result.returns >= 1) & (result.returns <= 12))
+    assert result.posterior.to_numpy() != prior.to_numpy()
 
 
 @pytest.mark.parametrize("shaped", [False, True])
 def test_dqn(prior, shaped):
     family = FAMILY
     task = family.sample(jax.random.key(5))
-    outcome = upslope.train(family, task, prior if shaped else None, updates=20, every=10, config=DQN_SMALL)
-    assert outcome.reports["return"].shape == (1, 3)
-    assert np.all(outcome.metrics["td_loss"][0, 1:] > 0)
-    assert bool(np.any(outcome.metrics["shaped_reward"][0, 1:] != 1.0)) == shaped
-    np.testing.assert_array_equal(outcome.metrics["reward"][0, 1:], 1.0)
+    result = upslope.train(family, task, prior if shaped else None, updates=20, every=10, config=DQN_SMALL)
+    assert result.returns.shape == (3,)
+    assert np.all(result.metrics["td_loss"][1:] > 0)
+    assert bool(np.any(result.metrics["shaped_reward"][1:] != 1.0)) == shaped
+    np.testing.assert_array_equal(result.metrics["reward"][1:], 1.0)
 
 
 def test_ddpg(prior):
     family = poles(host.pushed_pole)
     config = DDPGConfig(hidden=(8,), batch_size=8, warmup_steps=16, replay_capacity=64, evaluation_episodes=1)
-    outcome = upslope.train(family, family.sample(jax.random.key(5)), prior, updates=20, every=10, config=config)
-    assert outcome.reports["return"].shape == (1, 3)
-    assert np.all(np.isfinite(outcome.metrics["critic_loss"]))
+    result = upslope.train(family, family.sample(jax.random.key(5)), prior, updates=20, every=10, config=config)
+    assert result.returns.shape == (3,)
+    assert np.all(np.isfinite(result.metrics["critic_loss"]))
 
 
 def test_several_learners_take_turns_and_do_not_touch_each_other():

@@ -6,7 +6,6 @@ import pytest
 
 from support.plain_grids import draw
 from upslope import train
-from upslope.cli.families import Tasks, draw_task, recipe_for
 from upslope.envs.grid_rules import POSITION
 from upslope.errors import UpslopeError
 from upslope.learners.dqn import DQNConfig
@@ -45,7 +44,6 @@ class TestSettings:
         assert obstacles.observation_shape == (8, 8, 4)
         for family in (clean, obstacles):
             assert (family.actions, family.max_steps) == (DiscreteActions(4), 50)
-        assert FAMILIES["grid"] is grid_games
 
     def test_traps_add_a_channel(self):
         assert grid_games(traps=0.1).observation_shape == (8, 8, 5)
@@ -115,26 +113,40 @@ class TestCollecting:
         assert 0 < returns.sum() < 50
 
 
-class TestOnTheCommandLine:
+class TestNamedFamilies:
+    """The families by their names on the command line."""
+
     def test_every_family_has_its_name(self):
-        assert Tasks().family("obstacles") == obstacle_maps("test")
-        assert Tasks().family("clean") == clean_maps("test", held_out="goals")
-        assert Tasks(size=(5, 6), traps=0.1).family("grid").observation_shape == (5, 6, 5)
-        assert Tasks(gamma=0.8).family("grid", split="train") == grid_games(gamma=0.8, split="train")
-        assert Tasks().family("cartpole").gamma == 0.98
+        assert FAMILIES["obstacles"]().build("test") == obstacle_maps("test")
+        assert FAMILIES["clean"]().build("test") == clean_maps("test", held_out="goals")
+        assert FAMILIES["cartpole"]().build() == cartpoles()
+        assert FAMILIES["cartpole"](length=(1.0, 2.0)).build(actions="continuous") == cartpoles(
+            (1.0, 2.0), continuous=True
+        )
+        assert FAMILIES["grid"](size=(5, 6), traps=0.1).build().observation_shape == (5, 6, 5)
+        assert FAMILIES["grid"](gamma=0.8).build("train") == grid_games(gamma=0.8, split="train")
 
-    def test_maps_have_neither_forces_nor_poles(self):
-        with pytest.raises(UpslopeError, match="use dqn"):
-            Tasks().family("grid", continuous=True)
-        with pytest.raises(UpslopeError, match="no pole"):
-            draw_task(Tasks().family("grid"), 1.0, 0)
+    @pytest.mark.parametrize("name", FAMILIES)
+    def test_the_recipe_is_the_family_s_own(self, name):
+        assert FAMILIES[name].recipe == FAMILIES[name]().build().recipe
 
-    def test_recipes(self):
-        assert recipe_for("cartpole") == MetaTrainingConfig()
-        assert recipe_for("grid") == recipe_for("obstacles") == for_grid_games()
-        assert recipe_for("clean") == for_grid_games(3000)
+    def test_a_pole_can_be_chosen(self):
+        choice = FAMILIES["cartpole"].task_choice(pole=1.5)
+        task, description = choice.task(cartpoles(), 0)
+        assert float(task.length) == 1.5
+        assert description == "a pole of 1.50 m"
+        drawn, _ = FAMILIES["cartpole"].task_choice().task(cartpoles(), 0)
+        assert 0.25 <= float(drawn.length) <= 5.0
 
-    def test_families_in_code_have_the_same_ones(self):
+    def test_the_seed_draws_a_map(self):
+        family = grid_games()
+        choice = FAMILIES["grid"].task_choice()
+        (first, description), (again, _), (other, _) = (choice.task(family, seed) for seed in (3, 3, 4))
+        assert description == "grid task 3"
+        np.testing.assert_array_equal(first.obstacles, again.obstacles)
+        assert not np.array_equal(first.obstacles, other.obstacles)
+
+    def test_families_in_code_have_the_same_recipes(self):
         assert suited_to(obstacle_maps()) == for_grid_games()
         assert suited_to(cartpoles()) == MetaTrainingConfig()
         assert suited_to(grid_games(flat=True)) == MetaTrainingConfig()
@@ -144,5 +156,5 @@ class TestOnTheCommandLine:
 def test_a_dqn_with_an_mlp_learns_one_map():
     family = grid_games((4, 4), flat=True, maps=1, maps_seed=2)
     task = family.sample(jax.random.key(0))
-    outcome = train(family, task, updates=600, every=300, config=DQNConfig(epsilon=0.5))
-    assert outcome.reports["return"][0, -1] == 1.0
+    result = train(family, task, updates=600, every=300, config=DQNConfig(epsilon=0.5))
+    assert result.returns[-1] == 1.0

@@ -130,9 +130,9 @@ class TestLearners:
         prior = upslope.meta_train(family, config=config)
         assert isinstance(prior.network.torso, ConvolutionalTorso)
         small = AdaptationConfig(batch_size=4, steps_per_update=4, evaluation_episodes=1, replay_capacity=16)
-        posterior, returns = upslope.adapt(prior, family, family.sample(KEY), updates=2, config=small)
-        np.testing.assert_array_equal(returns, 3.0)
-        assert posterior.to_numpy() != prior.to_numpy()
+        result = upslope.adapt(family, family.sample(KEY), prior, updates=2, config=small)
+        np.testing.assert_array_equal(result.returns, 3.0)
+        assert result.posterior.to_numpy() != prior.to_numpy()
 
     def test_ddpg_by_convolutions(self):
         pushed = GymnasiumTasks(

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from upslope.equations.losses import advantage_loss, value_loss
 from upslope.equations.maml import descend
+from upslope.learners.checks import check_counts, check_shares
 from upslope.learners.evaluation import greedy_report
 from upslope.learners.experience import Experience
 from upslope.learners.learner import AbstractTaskLearner, vital_signs
@@ -94,6 +95,10 @@ class AdaptationConfig:
     steps_per_update: int = 200
     epsilon: float = 0.1
     evaluation_episodes: int = 3
+
+    def __post_init__(self) -> None:
+        check_counts(self, "batch_size", "replay_capacity", "steps_per_update", "evaluation_episodes")
+        check_shares(epsilon=self.epsilon)
 
 
 def for_maps() -> AdaptationConfig:

@@ -1,48 +1,54 @@
 """The command line: upslope reproduce, meta-train, train, adapt, check."""
 
 import sys
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from typing import Any, Union
 
 import tyro
 
-from upslope.cli.check import Check
-from upslope.cli.commands import Adapt, MetaTrain, Reproduce, Train
-from upslope.cli.families import recipe_for
+from upslope.cli import adapt, check, meta_train, reproduce, train
 from upslope.errors import InterruptedRunError, UpslopeError
-from upslope.meta_training.config import MetaTrainingConfig
 from upslope.run.compiling import set_up_devices
 from upslope.run.signals import stop_requests
 
-Command = Reproduce | MetaTrain | Train | Adapt | Check
+#: Each command's type, given its arguments. A new command is one file and one line here.
+COMMANDS: dict[str, Callable[[Sequence[str]], Any]] = {
+    "reproduce": reproduce.command,
+    "meta-train": meta_train.command,
+    "train": train.command,
+    "adapt": adapt.command,
+    "check": check.command,
+}
 
 
-def parse(recipe: MetaTrainingConfig | None = None) -> Command:
-    """What the command line asks for; a recipe stands in for the defaults of meta-training."""
-    meta_training = MetaTrain(config=recipe or MetaTrainingConfig())
-    commands = (
-        Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
-        | Annotated[MetaTrain, tyro.conf.subcommand("meta-train", default=meta_training)]
-        | Annotated[Train, tyro.conf.subcommand("train")]
-        | Annotated[Adapt, tyro.conf.subcommand("adapt")]
-        | Annotated[Check, tyro.conf.subcommand("check")]
-    )
-    command = tyro.cli(
-        commands,
+def parse(arguments: Sequence[str]) -> Callable[[], None]:
+    """The command that the arguments ask for.
+
+    Raises:
+        UpslopeError: a name that is unknown, of a family for example.
+        SystemExit: other mistakes, --help and --version.
+    """
+    if "--version" in arguments[:1]:
+        print(f"upslope {version('upslope')}")
+        sys.exit(0)
+    chosen = arguments[0] if arguments else ""
+    commands = tuple(command(arguments[1:] if name == chosen else ()) for name, command in COMMANDS.items())
+    command: Any = Union[commands]  # noqa: UP007
+    return tyro.cli(
+        command,
+        args=arguments,
         prog="upslope",
         description="Meta-learned potentials that shape the reward of every new task of a family.",
-        config=(tyro.conf.OmitArgPrefixes,),
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
     )
-    # Which defaults hold is known only once the family is.
-    if recipe is None and isinstance(command, MetaTrain) and command.family != "cartpole":
-        return parse(recipe_for(command.family))
-    return command
 
 
 def main() -> None:
-    """Parses the command line and runs what it asks for; bad input ends in one sentence and exit code 2."""
+    """Runs the command line; bad input ends in one sentence and exit code 2."""
     set_up_devices()
     try:
-        command = parse()
+        command = parse(sys.argv[1:])
         with stop_requests():
             command()
     except InterruptedRunError as stop:

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
-from upslope.adaptation.controls import CentredTD, FrozenPotential, OneOf
-from upslope.adaptation.fine_tuning import FineTuning
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, UpdateRule
+from upslope.adaptation.controls import OneOf
+from upslope.adaptation.rules import RULES
 from upslope.errors import UpslopeError
 from upslope.experiments.keys import Purpose, key_for, keys_per_task
 from upslope.experiments.priors import Priors
@@ -25,15 +25,6 @@ from upslope.types import Keys, Task
 
 #: α for every stop and task.
 StepSizes = Float[np.ndarray, "stops tasks"]
-
-RULES: dict[str, UpdateRule] = {
-    "algorithm2": AdvantageHead(centred=True),
-    "algorithm2_raw": AdvantageHead(centred=False),
-    "frozen_potential": FrozenPotential(),
-    "td_centred": CentredTD(),
-    "maml": FineTuning(steps=1),
-    "maml_two_steps": FineTuning(steps=2),
-}
 
 
 @dataclass(frozen=True)

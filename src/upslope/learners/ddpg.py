@@ -1,7 +1,7 @@
 """DDPG on continuous actions, shaped or not: the learner of Fig. 1, right."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -9,10 +9,12 @@ import jax.numpy as jnp
 import optax
 
 from upslope.equations.losses import huber, td_error
+from upslope.learners.checks import check_counts, check_shares
 from upslope.learners.dqn import adam
 from upslope.learners.experience import Experience, greedy_return
 from upslope.learners.learner import AbstractTaskLearner, vital_signs
 from upslope.learners.policies import Greedy, Noisy
+from upslope.learners.settings import AbstractLearnerConfig
 from upslope.learners.shaping import Shaping, add_shaping
 from upslope.networks.actor_critic import Actor, Critic
 from upslope.tasks.family import AbstractFamily
@@ -20,7 +22,7 @@ from upslope.types import Key, Metrics, Scalar, Task, Transition
 
 
 @dataclass(frozen=True)
-class DDPGConfig:
+class DDPGConfig(AbstractLearnerConfig):
     """Settings of DDPG, the same for every arm of a comparison.
 
     Attributes:
@@ -38,6 +40,9 @@ class DDPGConfig:
         evaluation_episodes: noiseless episodes behind each reported return.
     """
 
+    name: ClassVar[str] = "ddpg"
+    actions: ClassVar[str] = "continuous"
+
     hidden: tuple[int, ...] = (32, 32)
     learning_rate: float = 1.5e-3
     decay_updates: int = 3000
@@ -50,6 +55,27 @@ class DDPGConfig:
     target_rate: float = 0.003
     saturation_penalty: float = 0.03
     evaluation_episodes: int = 3
+
+    def __post_init__(self) -> None:
+        check_counts(self, "batch_size", "replay_capacity", "warmup_steps", "steps_per_update", "evaluation_episodes")
+        check_shares(target_rate=self.target_rate)
+
+    @classmethod
+    def for_recipe(cls, recipe: str) -> "DDPGConfig":
+        del recipe  # one set of settings serves all
+        return cls()
+
+    def build(self, family: AbstractFamily, task: Task, shaping: Shaping | None) -> "DDPG":
+        self.check_actions(family)
+        return DDPG(family, task, shaping, self)
+
+    def policy_network(
+        self, key: Key, observation_shape: tuple[int, ...], actions: int, observation_scale: tuple[float, ...]
+    ) -> Actor:
+        return Actor(key, observation_shape, actions, self.hidden, observation_scale)
+
+    def acting(self, state: "DDPGState") -> Actor:
+        return state.actor
 
 
 class DDPGState(eqx.Module):

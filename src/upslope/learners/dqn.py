@@ -1,7 +1,7 @@
 """Vanilla DQN, shaped or not: the learner of Fig. 1, middle, and of Figs. 3 and 5, right."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -9,10 +9,12 @@ import jax.numpy as jnp
 import optax
 
 from upslope.equations.losses import huber, td_error
+from upslope.learners.checks import check_counts, check_shares
 from upslope.learners.evaluation import greedy_report
 from upslope.learners.experience import Experience
 from upslope.learners.learner import AbstractTaskLearner, vital_signs
 from upslope.learners.policies import EpsilonGreedy, Greedy
+from upslope.learners.settings import AbstractLearnerConfig
 from upslope.learners.shaping import Shaping, add_shaping
 from upslope.networks.convolution import Precision
 from upslope.networks.precision import with_precision
@@ -22,7 +24,7 @@ from upslope.types import Key, Metrics, Scalar, Task, Transition
 
 
 @dataclass(frozen=True)
-class DQNConfig:
+class DQNConfig(AbstractLearnerConfig):
     """Settings of DQN, the same for every arm of a comparison.
 
     Attributes:
@@ -40,6 +42,9 @@ class DQNConfig:
         precision: of what convolutions multiply; GPUs are faster with less than float32, CPUs only round.
     """
 
+    name: ClassVar[str] = "dqn"
+    actions: ClassVar[str] = "discrete"
+
     hidden: tuple[int, ...] = (32, 32)
     learning_rate: float = 4e-3
     decay_updates: int = 1000
@@ -52,6 +57,27 @@ class DQNConfig:
     target_rate: float = 0.01
     evaluation_episodes: int = 3
     precision: Precision = "float32"
+
+    def __post_init__(self) -> None:
+        check_counts(self, "batch_size", "replay_capacity", "warmup_steps", "steps_per_update", "evaluation_episodes")
+        check_shares(epsilon=self.epsilon, target_rate=self.target_rate)
+
+    @classmethod
+    def for_recipe(cls, recipe: str) -> "DQNConfig":
+        return {"images": for_maps, "maps": for_maps}.get(recipe, cls)()
+
+    def build(self, family: AbstractFamily, task: Task, shaping: Shaping | None) -> "DQN":
+        self.check_actions(family)
+        return DQN(family, task, shaping, self)
+
+    def policy_network(
+        self, key: Key, observation_shape: tuple[int, ...], actions: int, observation_scale: tuple[float, ...]
+    ) -> QNetwork:
+        network = QNetwork(key, observation_shape, actions, self.hidden, observation_scale)
+        return with_precision(network, self.precision)
+
+    def acting(self, state: "DQNState") -> QNetwork:
+        return state.network
 
 
 def for_maps() -> DQNConfig:
@@ -92,14 +118,10 @@ class DQN(AbstractTaskLearner):
 
     def init(self, key: Key) -> DQNState:
         key, network_key, start_key, warmup_key = jax.random.split(key, 4)
-        network = QNetwork(
-            network_key,
-            self.family.observation_shape,
-            self.family.actions.count,
-            self.config.hidden,
-            self.family.observation_scale,
+        family = self.family
+        network = self.config.policy_network(
+            network_key, family.observation_shape, family.actions.count, family.observation_scale
         )
-        network = with_precision(network, self.config.precision)
         experience = Experience.start(start_key, self.family, self.task, self.config.replay_capacity, self.shaping)
         experience, _ = experience.extend(
             warmup_key, self.family, self.task, EpsilonGreedy(network, 1.0), self.config.warmup_steps, self.shaping

@@ -7,13 +7,13 @@ import numpy as np
 import optax
 from jaxtyping import Float
 
+from upslope.learners.checks import check_counts, check_shares
 from upslope.meta_training.posteriors import (
     HeadsPosterior,
     NetworkPosterior,
     TablePosterior,
     WeightsPosterior,
 )
-from upslope.meta_training.posteriors.checks import check_counts, check_shares
 from upslope.networks.convolution import Precision
 from upslope.networks.torso import Activation
 

@@ -68,11 +68,12 @@ def multi_task_dqn(iterations: int = ITERATIONS["obstacles"]) -> MetaTrainingCon
     return for_grid_games(iterations).with_posterior(inner_steps=1, target_decay=0.99, advantage_weight=0.0)
 
 
-#: By the name that a family gives as its ``recipe``.
+#: By the name that a family gives as its ``recipe``; families on the command line can have others by their own name.
 RECIPES: dict[str, Callable[[], MetaTrainingConfig]] = {
     "vectors": MetaTrainingConfig,
     "images": MetaTrainingConfig,
     "maps": for_grid_games,
+    "clean": lambda: for_grid_games(ITERATIONS["clean"]),
 }
 
 

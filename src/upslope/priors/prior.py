@@ -1,6 +1,8 @@
 """A prior: the meta-learned network together with what it was trained on; saved as one safetensors file."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -8,37 +10,78 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from upslope.errors import DamagedFileError, UpslopeError
+from upslope.learners.agent import act, is_batch
+from upslope.learners.curve import LearningCurve
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.heads import HEADS
 from upslope.networks.tensors import from_tensors, to_tensors
 from upslope.priors.numpy_potential import NumpyPotential
 from upslope.priors.prior_file import TrainedOn, read_prior_file, write_prior_file
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Observation, Scalar
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Prior:
-    """θ and its provenance. Call it on an observation for Φ(s) = V_θ(s)."""
+    """θ and its provenance. Call it on observations for Φ(s) = V_θ(s); it also acts, by its A head.
+
+    Attributes:
+        network: θ.
+        trained_on: what it was trained on.
+        curve: of the meta-training, its returns on extra training tasks; None in a prior that was loaded.
+    """
 
     network: DuelingQ
     trained_on: TrainedOn
+    curve: LearningCurve | None = None
 
     @property
     def gamma(self) -> float:
         """γ that the potential was learned with, and that shaping by it needs."""
         return self.trained_on.gamma
 
-    def __call__(self, obs: Observation) -> Scalar:
-        """Φ(s) = V_θ(s) of one observation."""
-        return self.network.value(jnp.asarray(obs))
+    def __call__(self, obs: Any) -> Float[Array, "*n"]:
+        """Φ(s) = V_θ(s) of one observation ``[*obs]``, or of each in a batch ``[n, *obs]``. JAX can trace it.
+
+        Raises:
+            UpslopeError: an observation of another shape.
+        """
+        obs = jnp.asarray(obs)
+        if is_batch(obs.shape, self.trained_on.observation_shape):
+            return self.values(obs)
+        return self.network.value(obs)
 
     def values(self, obs: Float[Array, "n *obs"]) -> Float[Array, "n"]:
         """Φ of a batch of observations."""
         return jax.vmap(self.network.value)(jnp.asarray(obs))
+
+    def act(self, obs: Any) -> Any:
+        """The greedy action for one observation ``[*obs]``, or the actions for a batch ``[n, *obs]``, in NumPy.
+
+        Raises:
+            UpslopeError: an observation of another shape.
+        """
+        return act(self._best, self.trained_on.observation_shape, obs)
+
+    @cached_property
+    def _best(self) -> Callable[[np.ndarray], np.ndarray]:
+        return self.network.numpy_best()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}  # a cached function can't be pickled
+
+    def __repr__(self) -> str:
+        about, settings = self.trained_on, self.trained_on.settings
+        measured = ""
+        if "return_on_training_tasks" in settings:
+            measured = f", return {settings['return_on_training_tasks']:.4g} on extra training tasks"
+        return (
+            f"Prior(of {about.family!r}, observations {list(about.observation_shape)}, {about.actions} actions, "
+            f"gamma={about.gamma}, seed={about.seed}{measured})"
+        )
 
     def check(self, family: AbstractFamily, *, acting: bool = False) -> None:
         """Whether the prior belongs to a family's tasks.

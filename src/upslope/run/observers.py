@@ -39,6 +39,12 @@ class Observer(Protocol):
     def end(self) -> None: ...
 
 
+def has_display() -> bool:
+    """Whether somebody can watch: standard error is a terminal, or this is a notebook."""
+    console = Console(stderr=True)
+    return console.is_terminal or console.is_jupyter
+
+
 class ProgressBar:
     """A bar with the rate in learner-updates per second, the time left (at the end, taken) and the median return."""
 

@@ -1,13 +1,13 @@
 """What surrounds a run: its observers, its checkpoints, its compiler in the background."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from upslope.run.checkpoints import Checkpoints
 from upslope.run.compiling import Ahead
-from upslope.run.observers import EventLog, Observer, ProgressBar
+from upslope.run.observers import EventLog, Observer, ProgressBar, has_display
 
 
 def _ignore(results: Any) -> None:
@@ -42,3 +42,15 @@ def session_in(folder: Path, *, resume: bool = False, final_states: bool = True)
     return Session(
         (ProgressBar(), EventLog(folder / "logs")), Checkpoints(folder, resume=resume, final_states=final_states)
     )
+
+
+def with_progress(session: Session | None, progress: bool | None) -> Session:
+    """The session with a progress bar where one is wanted.
+
+    Args:
+        session: None for one without observers and checkpoints.
+        progress: True and False decide; None shows a bar in a terminal or a notebook, unless there are observers.
+    """
+    session = session or Session()
+    wanted = has_display() and not session.observers if progress is None else progress
+    return replace(session, observers=(*session.observers, ProgressBar())) if wanted else session

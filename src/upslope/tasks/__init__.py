@@ -6,9 +6,7 @@ from upslope.tasks.grids import clean_maps, grid_games, obstacle_maps
 from upslope.tasks.gymnasium_tasks import GymnasiumTasks
 from upslope.tasks.gymnax_tasks import gymnax_tasks
 from upslope.tasks.jax_tasks import JaxTasks
-
-#: The families that the command line knows by name.
-FAMILIES = {"cartpole": cartpoles, "obstacles": obstacle_maps, "clean": clean_maps, "grid": grid_games}
+from upslope.tasks.settings import FAMILIES
 
 __all__ = [
     "FAMILIES",

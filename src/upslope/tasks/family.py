@@ -6,8 +6,10 @@ from typing import Any, Literal, TypeVar
 
 import equinox as eqx
 import jax
+import numpy as np
 from jaxtyping import Array, Float
 
+from upslope.errors import UpslopeError
 from upslope.tasks.actions import Actions
 from upslope.types import Key, Policy, Task, Transition
 
@@ -56,8 +58,15 @@ class AbstractFamily(eqx.Module):
         """
 
     @abstractmethod
-    def sample(self, key: Key) -> Task:
-        """Draws one task."""
+    def sample(self, key: Key | int) -> Task:
+        """Draws one task.
+
+        Args:
+            key: a key of JAX, or an integer to make one from.
+
+        Raises:
+            UpslopeError: something else.
+        """
 
     @abstractmethod
     def reset(self, key: Key, tasks: Task) -> Any:
@@ -95,6 +104,25 @@ class AbstractFamily(eqx.Module):
     def sample_many(self, key: Key, count: int) -> Task:
         """Draws ``count`` tasks as one stacked PyTree ``[count, ...]``."""
         return jax.vmap(self.sample)(jax.random.split(key, count))
+
+    def __repr__(self) -> str:
+        return (
+            f"{type(self).__name__}({self.name!r}, gamma={self.gamma}, observations {list(self.observation_shape)}, "
+            f"{self.actions.count} {self.actions.kind} actions, {self.max_steps} steps)"
+        )
+
+
+def as_key(key: Any) -> Key:
+    """A key of JAX, from such a key or from an integer.
+
+    Raises:
+        UpslopeError: something else.
+    """
+    if isinstance(key, int | np.integer):
+        return jax.random.key(key)
+    if not isinstance(key, jax.Array):
+        raise UpslopeError(f"A task is drawn with jax.random.key(seed) or an integer, but {key!r:.60} was given.")
+    return key
 
 
 def recipe_of(observation_shape: tuple[int, ...]) -> str:

@@ -15,7 +15,7 @@ from upslope.rollouts import ROLLOUTS, AbstractRollouts, Trajectories
 from upslope.rollouts.task_slot import make_environment
 from upslope.tasks.abstract_evaluation import under_abstract_evaluation
 from upslope.tasks.actions import Actions, ContinuousActions, DiscreteActions
-from upslope.tasks.family import AbstractFamily, Network, recipe_of
+from upslope.tasks.family import AbstractFamily, Network, as_key, recipe_of
 from upslope.tasks.host_policy import host_policy, reset_and_act_keys, seed_of
 from upslope.tasks.observation_scale import scale_of
 from upslope.tasks.task_protocol import sampler_and_factory
@@ -128,8 +128,8 @@ class GymnasiumTasks(AbstractFamily):
         del newest  # it is computed while the environments take their steps
         return previous
 
-    def sample(self, key: Key) -> Task:
-        return jax.random.key_data(key)
+    def sample(self, key: Key | int) -> Task:
+        return jax.random.key_data(as_key(key))
 
     def task_of(self, task: Task) -> Any:
         """The sampler's value for a task: the argument of the factory.

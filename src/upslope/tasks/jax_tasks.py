@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from upslope.errors import UpslopeError
 from upslope.tasks.actions import Actions
-from upslope.tasks.family import AbstractFamily, Network
+from upslope.tasks.family import AbstractFamily, Network, as_key
 from upslope.types import Key, Keys, Policy, Task, Transition
 
 
@@ -71,8 +71,8 @@ class JaxTasks(AbstractFamily):
         del previous
         return newest
 
-    def sample(self, key: Key) -> Task:
-        return self.sample_params(key)
+    def sample(self, key: Key | int) -> Task:
+        return self.sample_params(as_key(key))
 
     def only(self, task: Task) -> "JaxTasks":
         """The family of this one task, all else alike. Stacked tasks make a stack of families, in one program."""

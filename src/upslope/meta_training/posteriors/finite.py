@@ -15,8 +15,8 @@ from jaxtyping import Array, Float, Int
 
 from upslope.equations.losses import prior_learning_loss, td_loss
 from upslope.errors import UpslopeError
+from upslope.learners.checks import check_counts
 from upslope.learners.policies import EpsilonGreedy
-from upslope.meta_training.posteriors.checks import check_counts
 from upslope.meta_training.posteriors.posterior import AbstractPosterior, repeat_tasks, spaced
 from upslope.networks.dueling import DuelingQ
 from upslope.tasks.family import AbstractFamily

@@ -7,6 +7,7 @@ import jax
 
 from upslope.equations.maml import adapt
 from upslope.meta_training.posteriors.finite import AbstractFinitePosterior, FiniteSamples, QTable, mean_td_loss
+from upslope.meta_training.posteriors.posterior import Name
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.torso import AbstractTorso
 from upslope.types import Keys
@@ -25,7 +26,7 @@ class HeadsPosterior(AbstractFinitePosterior):
         normalised_steps: use Polyak's steps: α is the share of a single squared error that one step removes.
     """
 
-    name: str = field(default="heads", init=False)
+    name: Name = field(default="heads", init=False)
 
     normalised_steps: bool = False
 

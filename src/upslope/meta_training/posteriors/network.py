@@ -11,11 +11,11 @@ from jaxtyping import Array, Float
 
 from upslope.equations.losses import prior_learning_loss, td_loss
 from upslope.equations.maml import adapt
+from upslope.learners.checks import check_counts, check_shares
 from upslope.learners.learner import vital_signs
 from upslope.learners.policies import EpsilonGreedy
 from upslope.learners.replay import Replay
-from upslope.meta_training.posteriors.checks import check_counts, check_shares
-from upslope.meta_training.posteriors.posterior import AbstractPosterior, spaced
+from upslope.meta_training.posteriors.posterior import AbstractPosterior, Name, spaced
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.torso import AbstractTorso
 from upslope.tasks.family import AbstractFamily
@@ -49,7 +49,7 @@ class NetworkPosterior(AbstractPosterior):
             memory. None chooses what is faster for the network.
     """
 
-    name: str = field(default="network", init=False)
+    name: Name = field(default="network", init=False)
 
     batch_size: int = 64
     inner_step_size: float = 0.01

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from tyro.conf import Fixed, Suppress
 
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.torso import AbstractTorso
@@ -16,6 +17,9 @@ from upslope.types import Keys, Metrics, Policy, Scalar, Task, Transition
 #: D_i of every task, and what one outer step draws from them: PyTrees ``[tasks, ...]`` of the posterior's own making.
 Replays = Any
 Samples = Any
+
+#: A name that belongs to the class: files hold it, and the command line does not show it as an option.
+Name = Suppress[Fixed[str]]
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,7 @@ class AbstractPosterior(ABC):
         environments: of each task, side by side.
     """
 
-    name: str = field(init=False)
+    name: Name = field(init=False)
 
     @property
     @abstractmethod

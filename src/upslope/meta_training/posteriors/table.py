@@ -6,7 +6,7 @@ import jax
 import optax
 
 from upslope.equations.maml import adapt
-from upslope.meta_training.posteriors.checks import check_counts, check_shares
+from upslope.learners.checks import check_counts, check_shares
 from upslope.meta_training.posteriors.finite import (
     AbstractFinitePosterior,
     FiniteSamples,
@@ -14,6 +14,7 @@ from upslope.meta_training.posteriors.finite import (
     q_tables,
     table_td_loss,
 )
+from upslope.meta_training.posteriors.posterior import Name
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.torso import AbstractTorso
 from upslope.types import Keys
@@ -34,7 +35,7 @@ class TablePosterior(AbstractFinitePosterior):
         target_decay: decay per iteration of the averaged network from whose Q the table starts; None starts at Q_θ.
     """
 
-    name: str = field(default="table", init=False)
+    name: Name = field(default="table", init=False)
 
     target_decay: float | None = None
 

@@ -1,0 +1,30 @@
+"""The rules of adaptation by name, and the settings that suit a family."""
+
+from collections.abc import Callable
+
+from upslope.adaptation.algorithm2 import AdaptationConfig, AdvantageHead, UpdateRule, for_maps
+from upslope.adaptation.controls import CentredTD, FrozenPotential
+from upslope.adaptation.fine_tuning import FineTuning
+from upslope.tasks.family import AbstractFamily
+
+#: By the name on the command line and in figures. A new rule is one class and one line here.
+RULES: dict[str, UpdateRule] = {
+    "algorithm2": AdvantageHead(centred=True),
+    "algorithm2_raw": AdvantageHead(centred=False),
+    "frozen_potential": FrozenPotential(),
+    "td_centred": CentredTD(),
+    "maml": FineTuning(steps=1),
+    "maml_two_steps": FineTuning(steps=2),
+}
+
+#: By the name that a family gives as its ``recipe``.
+RECIPES: dict[str, Callable[[], AdaptationConfig]] = {
+    "vectors": AdaptationConfig,
+    "images": for_maps,
+    "maps": for_maps,
+}
+
+
+def suited_to(family: AbstractFamily) -> AdaptationConfig:
+    """The settings for the recipe that a family names."""
+    return RECIPES[family.recipe]()
