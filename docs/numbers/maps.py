@@ -52,10 +52,12 @@ def aims(figure: str) -> str:
             curves = np.asarray(row["measures"][measure]["mean"])
             first = _first_at_least(row["iterations"], curves.mean(axis=0), aim)
             passed = [_first_at_least(row["iterations"], seed, aim) for seed in curves if seed[-1] >= aim]
-            of_seeds = f"{min(passed):,} to {max(passed):,}" if passed else "–"
             mean = "never" if first is None else f"{first:,}"
-            rows.append((RECIPES[name], MEASURES[measure], mean, of_seeds, f"{len(passed)} of {len(curves)}"))
-    head = ("", "measure", "mean over seeds passes after", "those seeds pass after", "seeds above the aim at the end")
+            passed.sort()
+            ends = " to ".join(f"{end:,}" for end in sorted({*passed[:1], *passed[-1:]}))
+            count = f"{len(passed)} of {len(curves)}"
+            rows.append((RECIPES[name], MEASURES[measure], mean, count, ends or "–"))
+    head = ("", "measure", "mean over seeds passes after", "seeds above the aim at the end", "these pass after")
     return table(head, rows)
 
 

@@ -18,11 +18,14 @@ from upslope.experiments.results import FigureResult, write_results
 from upslope.learners.ddpg import DDPGConfig
 from upslope.learners.dqn import DQNConfig
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior
 from upslope.run.session import Session
 
 SHAPING_ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "oracle"]
 SMALL_PROGRAMS = 40
-SMALL = MetaTrainingConfig(iterations=20, tasks=4, steps_per_task=40, batch_size=16, evaluation_tasks=3)
+SMALL = MetaTrainingConfig(
+    iterations=20, tasks=4, steps_per_task=40, posterior=NetworkPosterior(batch_size=16), evaluation_tasks=3
+)
 TINY = Figure1Config(
     seeds=2,
     tasks=3,

@@ -22,15 +22,15 @@ from upslope.run.session import Session
 from upslope.tasks.grid_maps import is_test_map
 
 ARMS = ["unshaped", "constant", "prior", "prior_ensemble", "prior_unzeroed", "multi_task_dqn", "manhattan", "oracle"]
-SMALL = {"hidden": (8, 8), "environments": 2, "steps_per_task": 20, "snapshot_every": 2, "evaluation_tasks": 2}
+SMALL = {"hidden": (8, 8), "steps_per_task": 20, "snapshot_every": 2, "evaluation_tasks": 2}
 TINY = GridFigureConfig(
     "obstacles",
     seeds=2,
     tasks=3,
     dqn_updates=4,
     every=2,
-    meta_training=replace(for_grid_games(4), **SMALL),
-    multi_task=replace(multi_task_dqn(4), **SMALL),
+    meta_training=replace(for_grid_games(4), **SMALL).with_posterior(environments=2),
+    multi_task=replace(multi_task_dqn(4), **SMALL).with_posterior(environments=2),
     panel=AdaptationPanel(stops=(0, 2), updates=2, step_sizes=(0.01, 0.1), start=0.5, average="mean"),
     adaptation=AdaptationConfig(batch_size=4, replay_capacity=64, steps_per_update=5),
     dqn=DQNConfig(hidden=(8, 8), batch_size=4, warmup_steps=5, replay_capacity=64),
@@ -54,8 +54,8 @@ class TestSettings:
 
     def test_the_quick_form_keeps_the_recipes(self):
         config = quick_grid_figure(full_grid_figure("obstacles"))
-        assert config.meta_training.inner_steps == 30
-        assert config.multi_task.inner_steps == 1
+        assert config.meta_training.posterior.inner_steps == 30
+        assert config.multi_task.posterior.inner_steps == 1
         assert config.dqn == full_grid_figure("obstacles").dqn
 
     @pytest.mark.parametrize("settings", [{"seeds": 0}, {"tasks": 0}])

@@ -21,7 +21,11 @@ pytestmark = pytest.mark.slow
 
 def tiny():
     reading = dataclasses.replace(
-        for_grid_games(2), hidden=(8, 8), environments=2, steps_per_task=20, snapshot_every=1, evaluation_tasks=2
+        for_grid_games(2).with_posterior(environments=2),
+        hidden=(8, 8),
+        steps_per_task=20,
+        snapshot_every=1,
+        evaluation_tasks=2,
     )
     return GridPriorsConfig("obstacles", {"algorithm1": Reading("tiny", reading)}, seeds=1, tasks=3)
 
