@@ -123,7 +123,7 @@ def test_two_learners_for_one_kind_of_action(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.fixture(scope="module", params=["discrete", "continuous"])
 def result(request) -> upslope.TrainingResult:
     if request.param == "discrete":
-        return train(POLES, TASK, updates=3, every=2, config=SMALL)
+        return train(POLES, TASK, updates=3, every=2, seed=4, config=SMALL)
     config = DDPGConfig(batch_size=4, warmup_steps=8, replay_capacity=64, evaluation_episodes=1)
     return train(cartpoles(continuous=True), TASK, updates=3, every=2, config=config)
 
