@@ -26,11 +26,11 @@ from upslope import (
     meta_train,
     train,
 )
-from upslope.api import check_potential
 from upslope.learners import LEARNERS, suited_to
 from upslope.learners.dqn import DQN, for_maps
 from upslope.networks.dueling import DuelingQ
 from upslope.priors.prior import trained_on
+from upslope.priors.shaping_by import check_potential
 from upslope.tasks.family import as_key
 
 POLES = cartpoles()

@@ -4,7 +4,6 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -16,17 +15,17 @@ from upslope.learners import suited_to as learner_suited_to
 from upslope.learners.agent import Agent, record
 from upslope.learners.curve import LearningCurve
 from upslope.learners.learner import AbstractLearner
-from upslope.learners.shaping import Shaping, potential_based
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.recipes import suited_to
 from upslope.priors.prior import Prior, trained_on
+from upslope.priors.shaping_by import shaping_by
 from upslope.results import AdaptationResult, TrainingResult
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session, with_progress
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Observation, Potential, Task
+from upslope.types import Potential, Task
 
 
 def meta_train(
@@ -110,7 +109,7 @@ def train(
     _check_type("train", "family", family, AbstractFamily)
     config = learner_suited_to(family) if config is None else config
     _check_type("train", "config", config, AbstractLearnerConfig)
-    learner = config.build(family, task, _shaping(family, potential))
+    learner = config.build(family, task, shaping_by(potential, family))
     outcome = _run_one(learner, seed, updates, every, config.name.upper(), session, progress)
     network = config.acting(_final_state(outcome))
     return TrainingResult(Agent(network, record(config, family, seed)), _curve(outcome, 0))
@@ -225,37 +224,3 @@ def _curve(outcome: Outcome, index: int) -> LearningCurve:
     """The learning curve of one of a run's learners."""
     metrics = {name: values[index] for name, values in outcome.metrics.items()}
     return LearningCurve(outcome.updates, outcome.reports["return"][index], metrics)
-
-
-def _shaping(family: AbstractFamily, potential: Potential | Prior | None) -> Shaping | None:
-    if potential is None:
-        return None
-    if isinstance(potential, Prior):
-        potential.check(family)
-        return potential_based(potential.network.value)
-    return potential_based(check_potential(potential, family))
-
-
-def check_potential(potential: Potential, family: AbstractFamily) -> Any:
-    """The potential as a traceable function, after a trial on one observation.
-
-    Raises:
-        UpslopeError: it returns something else than one finite number, or JAX can't trace it.
-    """
-    obs: Observation = jnp.zeros(family.observation_shape)
-    try:
-        shape = jax.eval_shape(potential, obs)
-    except Exception as error:
-        why, _, _ = str(error).partition("\n")  # tracers tell pages
-        raise UpslopeError(
-            f"The potential failed on one observation of shape {family.observation_shape} "
-            f"({type(error).__name__}: {why}): write it with jax.numpy, for one observation."
-        ) from error
-    if getattr(shape, "shape", None) != ():
-        raise UpslopeError(
-            f"The potential returned {getattr(shape, 'shape', type(shape))} for one observation: "
-            "return a single number."
-        )
-    if not bool(jnp.isfinite(potential(obs))):
-        raise UpslopeError("The potential is not finite at the zero observation: make it finite everywhere.")
-    return potential if isinstance(potential, eqx.Module) else jax.tree_util.Partial(potential)
