@@ -34,8 +34,14 @@ def bent_loss(params, data):
     return jnp.mean((jnp.tanh(data @ params["in"]) @ params["out"] - jnp.sin(data[:, 0])) ** 2)
 
 
-def posterior_loss(_, phi, data):
-    return bowl_loss(phi, data)
+def of_posterior(loss):
+    """MAML's own outer loss: the task's loss of φ."""
+    return lambda theta, phi, data: loss(phi, data)
+
+
+def adapting(loss, **settings):
+    """Eq. 2 as a function of θ and one task's data."""
+    return lambda theta, data: maml.adapt(loss, theta, data, **settings)
 
 
 BOWL = Bowl(n(2.0), n(1.0))
@@ -46,12 +52,8 @@ def meta_gradient(inner_loss, theta, *, steps=1, first_order=False):
     """The meta-gradient over one bowl, with the bowl's own loss outside."""
     one = jax.tree.map(lambda leaf: leaf[None], BOWL)
 
-    def objective(theta):
-        return maml.meta_loss(
-            inner_loss, posterior_loss, theta, one, step_size=0.1, steps=steps, first_order=first_order
-        )
-
-    return float(jax.grad(objective)(n(theta)))
+    adapt_to = adapting(inner_loss, step_size=0.1, steps=steps, first_order=first_order)
+    return float(maml.meta_gradient(adapt_to, of_posterior(bowl_loss), n(theta), one)[1])
 
 
 def test_descend_steps_every_leaf_against_its_gradient():
@@ -90,19 +92,27 @@ def test_first_order_is_exact_where_the_inner_loss_has_no_curvature():
 
 def test_outer_step_over_two_tasks():
     # φ = 1 + 0.9·2 = 2.8 and 5 + 0.8·(−2) = 3.4; slopes 1·1.8·0.9 = 1.62 and 2·(−1.6)·0.8 = −2.56, their mean −0.47.
-    theta = maml.outer_step(bowl_loss, n(3), TWO_BOWLS, inner_step_size=0.1, outer_step_size=0.5)
+    adapt_to = adapting(bowl_loss, step_size=0.1)
+    theta = maml.outer_step(adapt_to, of_posterior(bowl_loss), n(3), TWO_BOWLS, step_size=0.5)
     assert float(theta) == pytest.approx(3 + 0.5 * 0.47)
 
 
 def test_first_order_outer_step_over_two_tasks():
     # Without the factors 0.9 and 0.8: slopes 1.8 and −3.2, their mean −0.7.
-    theta = maml.outer_step(bowl_loss, n(3), TWO_BOWLS, inner_step_size=0.1, outer_step_size=0.5, first_order=True)
+    adapt_to = adapting(bowl_loss, step_size=0.1, first_order=True)
+    theta = maml.outer_step(adapt_to, of_posterior(bowl_loss), n(3), TWO_BOWLS, step_size=0.5)
     assert float(theta) == pytest.approx(3 + 0.5 * 0.7)
+
+
+def test_the_distance_sees_theta_as_well():
+    # φ = 2.8 and 3.4 from θ = 3, as above: (0.2² + 0.4²)/2 by the distance of θ and φ, as in Algorithm 1.
+    loss = maml.meta_loss(adapting(bowl_loss, step_size=0.1), lambda theta, phi, _: (theta - phi) ** 2, n(3), TWO_BOWLS)
+    assert float(loss) == pytest.approx((0.04 + 0.16) / 2, rel=1e-5)
 
 
 def test_meta_loss_is_the_mean_over_tasks():
     # ½·1·1.8² = 1.62 and ½·2·1.6² = 2.56
-    loss = maml.meta_loss(bowl_loss, posterior_loss, n(3), TWO_BOWLS, step_size=0.1)
+    loss = maml.meta_loss(adapting(bowl_loss, step_size=0.1), of_posterior(bowl_loss), n(3), TWO_BOWLS)
     assert float(loss) == pytest.approx((1.62 + 2.56) / 2)
 
 
@@ -113,21 +123,20 @@ def test_meta_gradient_equals_finite_differences(steps):
         theta = {"in": jax.random.normal(keys[0], (2, 3)), "out": jax.random.normal(keys[1], (3,))}
         data = jax.random.normal(keys[2], (2, 5, 2))  # two tasks of five points
 
+        adapt_to = adapting(bent_loss, step_size=0.3, steps=steps)
+
         @jax.jit
         def objective(params):
-            return maml.meta_loss(
-                bent_loss, lambda _, phi, batch: bent_loss(phi, batch), params, data, step_size=0.3, steps=steps
-            )
+            return maml.meta_loss(adapt_to, of_posterior(bent_loss), params, data)
 
-        gradient = jax.grad(objective)(theta)
+        loss, gradient = maml.meta_gradient(adapt_to, of_posterior(bent_loss), theta, data)
+        assert float(loss) == pytest.approx(float(objective(theta)), rel=1e-10)
         assert_gradient(objective, theta, gradient)
-        stepped = maml.outer_step(
-            bent_loss, theta, data, inner_step_size=0.3, outer_step_size=0.7, steps=steps, first_order=False
-        )
+        stepped = maml.outer_step(adapt_to, of_posterior(bent_loss), theta, data, step_size=0.7)
         np.testing.assert_allclose(stepped["in"], theta["in"] - 0.7 * gradient["in"], rtol=1e-10)
 
 
-def test_task_by_task_gives_the_mean_loss_and_its_gradient():
+def test_in_sequence_it_is_the_mean_loss_and_its_gradient():
     keys = jax.random.split(jax.random.key(1), 3)
     theta = {"in": jax.random.normal(keys[0], (2, 3)), "out": jax.random.normal(keys[1], (3,))}
     data = jax.random.normal(keys[2], (4, 5, 2))  # four tasks of five points
@@ -135,12 +144,18 @@ def test_task_by_task_gives_the_mean_loss_and_its_gradient():
     def one(params, batch):
         return bent_loss(maml.adapt(bent_loss, params, batch, step_size=0.3), batch)
 
-    loss, gradient = jax.jit(lambda params: maml.gradient_task_by_task(one, params, data))(theta)
+    adapt_to = adapting(bent_loss, step_size=0.3)
     side_by_side = jax.value_and_grad(lambda params: jnp.mean(jax.vmap(lambda batch: one(params, batch))(data)))
     expected_loss, expected = side_by_side(theta)
-    assert float(loss) == pytest.approx(float(expected_loss), rel=1e-5)
-    for name in theta:
-        np.testing.assert_allclose(gradient[name], expected[name], rtol=1e-4, atol=1e-6)
+    for in_sequence in (True, False):
+        loss, gradient = jax.jit(
+            lambda params, how=in_sequence: maml.meta_gradient(
+                adapt_to, of_posterior(bent_loss), params, data, in_sequence=how
+            )
+        )(theta)
+        assert float(loss) == pytest.approx(float(expected_loss), rel=1e-5)
+        for name in theta:
+            np.testing.assert_allclose(gradient[name], expected[name], rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("steps", [0, -1])

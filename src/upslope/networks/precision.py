@@ -5,14 +5,14 @@ from typing import TypeVar
 import equinox as eqx
 
 from upslope.errors import UpslopeError
-from upslope.networks.convolution import PRECISIONS, Precision
+from upslope.networks.convolution import PRECISIONS
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.q_network import QNetwork
 
 Network = TypeVar("Network", DuelingQ, QNetwork)
 
 
-def with_precision(network: Network, precision: Precision) -> Network:
+def with_precision(network: Network, precision: str) -> Network:
     """The same network, its convolutions (if any) computed with this many bits.
 
     Raises:

@@ -1,0 +1,40 @@
+"""Policies of hand-made scores: networks that need no training."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+
+class Scores(eqx.Module):
+    """A function of one observation that gives a number for each action, as a network for policies.
+
+    Attributes:
+        function: of an observation, to ``[actions]``.
+        actions: how many.
+    """
+
+    function: Any
+    actions: int = eqx.field(static=True, default=4)
+
+    def best(self, obs):
+        return jnp.argmax(self.function(obs))
+
+    def random_actions(self, key, count):
+        return jax.random.randint(key, (count,), 0, self.actions)
+
+
+class Fixed(eqx.Module):
+    """A deterministic actor that is a function of one observation.
+
+    Attributes:
+        function: of an observation, to an action ``[actions]``.
+        actions: how many numbers are in an action.
+    """
+
+    function: Any
+    actions: int = eqx.field(static=True, default=1)
+
+    def best(self, obs):
+        return self.function(obs)
