@@ -29,14 +29,14 @@ class Tables:
         return self.rewards + shaping_reward(table[self.state], self.discount, table[self.following])
 
     def advantage_objective(self, advantage, value):
-        following = jax.lax.stop_gradient(advantage)[self.following]
+        highest_next = jax.lax.stop_gradient(advantage).max(-1)[self.following]
         losses = jax.vmap(advantage_loss)(
-            advantage[self.state], self.action, self.shaped_rewards(value), self.discount, following
+            advantage[self.state, self.action], self.shaped_rewards(value), self.discount, highest_next
         )
         return jnp.sum(self.chances * losses)
 
     def value_objective(self, value, advantage):
-        return jnp.sum(jax.vmap(value_loss)(value, advantage))
+        return jnp.sum(jax.vmap(value_loss)(value, advantage.max(-1)))
 
     def alternate(self, advantage, value, *, steps, move_value=True):
         """One step of Eq. 8, one of Eq. 9, ``steps`` times."""

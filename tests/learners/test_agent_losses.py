@@ -12,7 +12,7 @@ from upslope.equations.losses import huber
 from upslope.learners.ddpg import actor_loss, critic_loss
 from upslope.learners.dqn import DQN, DQNConfig, adam, dqn_loss
 from upslope.networks.actor_critic import Actor, Critic
-from upslope.networks.dueling import QNetwork
+from upslope.networks.q_network import QNetwork
 
 SIZES = (OBSERVATIONS, ACTIONS, (6, 5))
 BATCH = random_batch(1)
@@ -75,14 +75,14 @@ class TestDDPG:
     def test_the_critic_bootstraps_by_both_target_networks(self):
         errors = []
         for obs, action, reward, discount, next_obs in zip(*self.batch, strict=True):
-            next_q = self.target_critic(next_obs, self.target_actor(next_obs))
+            next_q = self.target_critic(next_obs, self.target_actor.best(next_obs))
             errors.append(float(reward + discount * next_q - self.critic(obs, action)))
         ours = critic_loss(self.critic, self.target_actor, self.target_critic, self.batch, THRESHOLD)
         assert float(ours) == pytest.approx(mean_huber(np.array(errors)), rel=1e-5)
 
     @pytest.mark.parametrize("penalty", [0.0, 0.5])
     def test_the_actor_climbs_the_critic_less_the_penalty(self, penalty):
-        values = [float(self.critic(obs, self.actor(obs))) for obs in self.batch.obs]
+        values = [float(self.critic(obs, self.actor.best(obs))) for obs in self.batch.obs]
         squares = [float(jnp.mean(self.actor.pre_activation(obs) ** 2)) for obs in self.batch.obs]
         ours = actor_loss(self.actor, self.critic, self.batch, penalty)
         assert float(ours) == pytest.approx(-np.mean(values) + penalty * np.mean(squares), rel=1e-4)

@@ -16,6 +16,7 @@ from upslope.learners.dqn import DQN, DQNConfig
 from upslope.learners.shaping import not_policy_invariant, potential_based
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior
 from upslope.priors.potentials import stack
 from upslope.run.loop import broadcast, run
 
@@ -129,12 +130,12 @@ class TestDDPG:
         return train(learners, 1000)
 
     def test_the_actor_finds_the_target_of_each_observation(self, outcome):
-        np.testing.assert_allclose(at_every_place(outcome.states.actor)[..., 0], self.targets, atol=0.1)
+        np.testing.assert_allclose(at_every_place(outcome.states.actor, lambda actor, obs: actor.best(obs))[..., 0], self.targets, atol=0.1)
 
     def test_the_critic_learns_the_value_less_the_potential(self, outcome):
         def value(networks, obs):
             actor, critic = networks
-            return critic(obs, actor(obs))
+            return critic(obs, actor.best(obs))
 
         learned = at_every_place((outcome.states.actor, outcome.states.critic), value)
         np.testing.assert_allclose(learned, -self.potentials, atol=0.1)
@@ -145,8 +146,9 @@ class TestDDPG:
 
 class TestMetaTraining:
     config = MetaTrainingConfig(
-        iterations=300, averaging=0.9, tasks=3, steps_per_task=24, batch_size=16, hidden=(16,), inner_step_size=0.05,
-        outer_step_size=0.02, epsilon=(0.5, 1.0), evaluation_tasks=4, evaluation_episodes=2,
+        iterations=300, averaging=0.9, tasks=3, steps_per_task=24, hidden=(16,), outer_step_size=0.02,
+        epsilon=(0.5, 1.0), evaluation_tasks=4, evaluation_episodes=2,
+        posterior=NetworkPosterior(batch_size=16, inner_step_size=0.05),
     )  # fmt: skip
 
     @pytest.fixture(scope="class")
@@ -169,7 +171,7 @@ class TestMetaTraining:
 PRIOR = small_network(3, inputs=PLACES, hidden=(16,))
 PRIOR_VALUE, PRIOR_LEVEL = (
     np.asarray([function(obs) for obs in OBS])[:, None]
-    for function in (PRIOR.value, lambda obs: PRIOR.advantage(obs).max())
+    for function in (PRIOR.value, PRIOR.highest_advantage)
 )
 Q = np.array(probes.DISCRETE["choices"][1])
 

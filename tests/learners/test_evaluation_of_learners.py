@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from support.plain_grids import pick
+from support.scores import Scores
 from upslope.envs.grid import read_map
 from upslope.learners.evaluation import exact_report, greedy_report
 from upslope.learners.policies import Greedy
@@ -19,7 +20,7 @@ MAPS = jax.tree.map(jnp.asarray, FAMILY.sample_many(jax.random.key(0), 30))
 
 def by_table(q):
     """Acts by a table over cells."""
-    return Greedy(lambda obs: q[FAMILY.env.state_number(obs)])
+    return Greedy(Scores(lambda obs: q[FAMILY.env.state_number(obs)]))
 
 
 def test_the_report_is_what_playing_shows():
@@ -54,13 +55,14 @@ def test_an_episode_ends_after_its_steps():
 def test_a_trap_costs_its_penalty():
     task = read_map("STG", trap_penalty=0.5)
     family = grid_games((1, 3), traps=0.1, gamma=0.8)
-    report = exact_report(family, task, Greedy(lambda obs: jnp.asarray([0.0, 0.0, 0.0, 1.0])))
+    report = exact_report(family, task, Greedy(Scores(lambda obs: jnp.asarray([0.0, 0.0, 0.0, 1.0]))))
     assert float(report["return"]) == -0.5
 
 
 def test_poles_are_played():
     family = cartpoles()
     task = family.sample(jax.random.key(0))
-    report = greedy_report(jax.random.key(1), family, task, Greedy(lambda obs: obs[2:3] * jnp.asarray([-1, 1])), 2)
+    policy = Greedy(Scores(lambda obs: obs[2:3] * jnp.asarray([-1, 1]), 2))
+    report = greedy_report(jax.random.key(1), family, task, policy, 2)
     assert set(report) == {"return"}
     assert 1 <= float(report["return"]) <= 200

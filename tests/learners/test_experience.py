@@ -5,18 +5,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from support.probes import DISCRETE, discrete_family, table_potential, truncation_only, two_steps
+from support.probes import ACTIONS, DISCRETE, discrete_family, table_potential, truncation_only, two_steps
+from support.scores import Scores
+from upslope.learners.shaping import not_policy_invariant, potential_based
 from upslope.learners import lookups
 from upslope.learners.experience import Experience, greedy_return
-from upslope.learners.lookups import Lookup
+from upslope.learners.lookups import BestTable
 from upslope.learners.policies import EpsilonGreedy
-from upslope.learners.shaping import not_policy_invariant, potential_based
-from upslope.networks.dueling import QNetwork
-from upslope.tasks import obstacle_maps
+from upslope.networks.q_network import QNetwork
+from upslope.tasks import cartpoles, obstacle_maps
 
 FAMILY = discrete_family()
 POTENTIAL = table_potential(2.0, -3.0)
-RANDOM = EpsilonGreedy(jnp.flip, 1.0)
+RANDOM = EpsilonGreedy(Scores(jnp.flip, ACTIONS), 1.0)
 
 
 def experience(shaping=None, *, task=None, chunks=(6, 6)):
@@ -82,8 +83,8 @@ def test_greedy_return_is_the_mean_raw_return(name):
     assert float(greedy_return(jax.random.key(0), FAMILY, task, optimal, 5)) == expected
 
 
-class TestLookingUp:
-    """Scores of a finite task, computed once for all of its states: the same steps."""
+class TestTables:
+    """The best actions of a finite task, computed once for all of its states: the same steps."""
 
     MAPS = obstacle_maps()
 
@@ -94,7 +95,7 @@ class TestLookingUp:
         remembered = Experience.start(jax.random.key(3), self.MAPS, task, 32)
         policy = EpsilonGreedy(network, 0.3)
         made = []
-        monkeypatch.setattr(lookups, "Lookup", lambda *table: made.append(table) or Lookup(*table))
+        monkeypatch.setattr(lookups, "BestTable", lambda *table: made.append(table) or BestTable(*table))
 
         def act(key):
             return remembered.act(key, self.MAPS, task, policy, steps)[1]
@@ -109,8 +110,7 @@ class TestLookingUp:
         assert len(made) == tables
         assert len(set(np.asarray(found.action).tolist())) > 1
 
-    def test_what_is_no_network_is_left_alone(self):
-        task = self.MAPS.sample(jax.random.key(1))
-        remembered = Experience.start(jax.random.key(3), self.MAPS, task, 64)
-        _, seen = remembered.act(jax.random.key(4), self.MAPS, task, lambda key, obs: jnp.zeros(1, jnp.int32), 50)
-        assert not np.asarray(seen.action).any()
+    def test_where_states_can_t_be_listed_a_policy_does_not_change(self):
+        poles = cartpoles()
+        policy = EpsilonGreedy(QNetwork(jax.random.key(2), 4, 2, (8,)), 0.3)
+        assert lookups.policy_with_table(poles, poles.sample(jax.random.key(1)), policy, 1000) is policy

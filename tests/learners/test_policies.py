@@ -1,18 +1,22 @@
-"""Policies: greedy, ε-greedy with one ε or one for each environment, noisy and deterministic actors."""
+"""Policies: greedy, ε-greedy with one ε or one for each environment, noisy actors."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from upslope.learners.policies import Deterministic, EpsilonGreedy, Greedy, Noisy
+from support.scores import Fixed, Scores
+from upslope.learners.policies import EpsilonGreedy, Greedy, Noisy
 
 MANY = 20_000
 
 
-def scores(obs):
-    """An observation is its own scores."""
+def same(obs):
+    """An observation is its own scores, or its own action."""
     return obs
+
+
+SCORES, ACTOR = Scores(same, 4), Fixed(same)
 
 
 @pytest.fixture(scope="module")
@@ -26,39 +30,39 @@ def act(policy, obs, seed=1):
 
 def test_greedy_takes_the_highest_score():
     obs = jnp.array([[1.0, 3.0, 2.0], [0.0, -1.0, -2.0]])
-    assert act(Greedy(scores), obs).tolist() == [1, 0]
+    assert act(Greedy(Scores(same, 3)), obs).tolist() == [1, 0]
 
 
 def test_greedy_is_indifferent_to_keys(obs):
-    np.testing.assert_array_equal(act(Greedy(scores), obs, seed=1), act(Greedy(scores), obs, seed=2))
+    np.testing.assert_array_equal(act(Greedy(SCORES), obs, seed=1), act(Greedy(SCORES), obs, seed=2))
 
 
 @pytest.mark.parametrize("epsilon", [0.1, 0.6])
 def test_epsilon_is_the_share_of_uniformly_random_actions(obs, epsilon):
     # A random action is the greedy one a quarter of the time.
-    strayed = act(EpsilonGreedy(scores, epsilon), obs) != obs.argmax(-1)
+    strayed = act(EpsilonGreedy(SCORES, epsilon), obs) != obs.argmax(-1)
     assert strayed.mean() == pytest.approx(0.75 * epsilon, abs=0.012)  # four standard deviations at most
 
 
 def test_without_epsilon_it_is_greedy(obs):
-    np.testing.assert_array_equal(act(EpsilonGreedy(scores, 0.0), obs), obs.argmax(-1))
+    np.testing.assert_array_equal(act(EpsilonGreedy(SCORES, 0.0), obs), obs.argmax(-1))
 
 
 def test_with_epsilon_one_every_action_is_equally_likely(obs):
-    shares = np.bincount(act(EpsilonGreedy(scores, 1.0), obs), minlength=4) / MANY
+    shares = np.bincount(act(EpsilonGreedy(SCORES, 1.0), obs), minlength=4) / MANY
     np.testing.assert_allclose(shares, 0.25, atol=0.013)
 
 
 def test_each_environment_can_have_its_own_epsilon(obs):
     epsilon = jnp.linspace(0, 1, MANY)
-    strayed = act(EpsilonGreedy(scores, epsilon), obs) != obs.argmax(-1)
+    strayed = act(EpsilonGreedy(SCORES, epsilon), obs) != obs.argmax(-1)
     # Means of ε over the first and the last quarter of environments: 1/8 and 7/8.
     assert strayed[: MANY // 4].mean() == pytest.approx(0.75 / 8, abs=0.02)
     assert strayed[-MANY // 4 :].mean() == pytest.approx(0.75 * 7 / 8, abs=0.03)
 
 
 def test_environments_explore_independently(obs):
-    policy = EpsilonGreedy(scores, 0.5)
+    policy = EpsilonGreedy(SCORES, 0.5)
     first, second = (act(policy, obs, seed) != obs.argmax(-1) for seed in (1, 2))
     # Of 0.375 strayed each, 0.375² would stray in both draws by chance.
     assert (first & second).mean() == pytest.approx(0.375**2, abs=0.012)
@@ -67,18 +71,22 @@ def test_environments_explore_independently(obs):
 class TestActors:
     actions = jnp.linspace(-1, 1, MANY)[:, None]
 
-    def test_a_deterministic_actor_acts_as_it_says(self):
-        np.testing.assert_array_equal(act(Deterministic(scores), self.actions), self.actions)
+    def test_greedy_takes_the_actor_s_own_action(self):
+        np.testing.assert_array_equal(act(Greedy(ACTOR), self.actions), self.actions)
 
     def test_noise_of_zero_is_no_noise(self):
-        np.testing.assert_array_equal(act(Noisy(scores, 0.0), self.actions), self.actions)
+        np.testing.assert_array_equal(act(Noisy(ACTOR, 0.0), self.actions), self.actions)
 
     def test_noise_is_clipped_to_the_range_of_actions(self):
-        noisy = act(Noisy(scores, 0.5), self.actions)
+        noisy = act(Noisy(ACTOR, 0.5), self.actions)
         assert np.abs(noisy).max() == 1.0
         assert (np.abs(noisy) == 1.0).mean() > 0.1
 
     def test_noise_is_centred_with_standard_deviation_sigma(self):
-        noise = act(Noisy(scores, 0.1), jnp.zeros((MANY, 1)))
+        noise = act(Noisy(ACTOR, 0.1), jnp.zeros((MANY, 1)))
         assert noise.mean() == pytest.approx(0, abs=0.003)
         assert noise.std() == pytest.approx(0.1, abs=0.003)
+
+
+def test_a_network_without_a_numpy_form_is_not_for_the_host():
+    assert Greedy(SCORES).on_host(jax.random.split(jax.random.key(0), 2), 3) is None

@@ -27,9 +27,9 @@ FAMILY = grid_games((4, 4), flat=True, max_steps=20, split="train")
 UNSEEN = grid_games((4, 4), flat=True, max_steps=20, split="test")
 MAPS = 16
 RECIPE = dataclasses.replace(
-    for_grid_games(60), hidden=(32, 32), environments=4, steps_per_task=50, outer_step_size=0.01, outer_warmup=5,
-    averaging=0.9, epsilon=(1.0, 1.0), evaluation_tasks=4, snapshot_every=10,
-)  # fmt: skip
+    for_grid_games(60), hidden=(32, 32), steps_per_task=50, outer_step_size=0.01, outer_warmup=5, averaging=0.9,
+    epsilon=(1.0, 1.0), evaluation_tasks=4, snapshot_every=10,
+).with_posterior(environments=4)  # fmt: skip
 LEARNER = dataclasses.replace(for_maps(), hidden=(32,), epsilon=1.0)
 
 

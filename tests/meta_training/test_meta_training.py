@@ -1,4 +1,4 @@
-"""Algorithm 1 around its gradient: experience, averaging, step sizes, snapshots, the report, settings refused."""
+"""Algorithm 1 around its gradient: experience, averaging, step sizes, snapshots, the report, settings that are refused."""
 
 import dataclasses
 import itertools
@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from support.batches import small_network
-from support.comparing import assert_trees_close, assert_trees_identical
-from support.meta import BATCH, TINY, learner
+from support.comparing import assert_trees_close, assert_trees_identical, largest
+from support.meta import BATCH, TINY, learner, learner_by
 from support.probes import discrete_family, observation_dependent
 from upslope.errors import UpslopeError
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior, TablePosterior
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +46,20 @@ class TestAveraging:
         assert_trees_identical(states[0].target, states[0].theta)
 
     def test_without_averaging_the_prior_is_theta_as_printed(self):
-        theta, old = small_network(0), small_network(1)
-        assert_trees_close(learner(averaging=0.0)._average(theta, old), theta, rtol=1e-6)
+        meta = learner(averaging=0.0)
+        before = meta.init(jax.random.key(0))
+        after = jax.jit(meta.step)(before)[0]
+        assert_trees_close(after.average, after.theta, rtol=1e-6)
+        assert largest(jax.tree.map(jnp.subtract, after.theta, before.theta)) > 1e-4
+
+    def test_without_an_averaged_network_the_target_is_theta(self):
+        meta = learner_by(target_decay=None)
+        after = jax.jit(meta.step)(meta.init(jax.random.key(0)))[0]
+        assert_trees_identical(after.target, after.theta)
+
+    def test_a_compiled_family_s_next_experience_is_by_the_newest_theta(self, states):
+        for state in states:
+            assert_trees_identical(state.acting, state.theta)
 
 
 class TestCollecting:
@@ -57,7 +69,8 @@ class TestCollecting:
         meta = learner(tasks=3, steps_per_task=200, epsilon=(0.0, 1.0))
         theta = meta.init(jax.random.key(0)).theta
         tasks = meta.family.sample_many(jax.random.key(1), 3)
-        return theta, jax.jit(meta.collect)(jax.random.key(2), tasks, theta)
+        collect = jax.jit(lambda key, tasks, theta: meta.collect(key, tasks, meta.behaviour(tasks, theta))())
+        return theta, collect(jax.random.key(2), tasks, theta)
 
     def test_each_task_has_its_own_epsilon(self, collected):
         theta, batch = collected
@@ -70,19 +83,21 @@ class TestCollecting:
     def test_samples_are_of_their_own_task(self, collected):
         theta, batch = collected
         marked = batch._replace(reward=jnp.broadcast_to(jnp.arange(3.0)[:, None], batch.reward.shape))
-        drawn = learner(tasks=3).draw(jax.random.key(3), marked, theta)
-        np.testing.assert_array_equal(drawn.batch.reward, np.broadcast_to(np.arange(3.0)[:, None], (3, BATCH)))
-        np.testing.assert_allclose(drawn.next_q, jax.vmap(jax.vmap(theta))(drawn.batch.next_obs), rtol=1e-5)
+        drawn = TINY.posterior.draw(jax.random.split(jax.random.key(3), 3), marked, theta)
+        np.testing.assert_array_equal(drawn.transitions.reward, np.broadcast_to(np.arange(3.0)[:, None], (3, BATCH)))
+        expected = jax.vmap(jax.vmap(theta))(drawn.transitions.next_obs).max(axis=-1)
+        np.testing.assert_allclose(drawn.next_value, expected, rtol=1e-5)
 
     def test_without_an_averaged_network_there_are_no_fixed_targets(self, collected):
         theta, batch = collected
-        assert learner(tasks=3, target_decay=None).draw(jax.random.key(3), batch, theta).next_q is None
+        keys = jax.random.split(jax.random.key(3), 3)
+        assert NetworkPosterior(target_decay=None).draw(keys, batch, theta).next_value is None
 
 
 class TestOptimiser:
     def test_plain_descent_falls_linearly_from_first_to_last_step_size(self):
         # 4 iterations of 2 outer updates: β = 0.8 before the first of 8 steps, 0 after the last.
-        optimiser = learner(outer_optimiser="sgd", outer_step_size=0.8, outer_step_size_end=0.0)._optimiser()
+        optimiser = learner(outer_optimiser="sgd", outer_step_size=0.8, outer_step_size_end=0.0).config.optimiser()
         state, steps = optimiser.init(jnp.zeros(())), []
         for _ in range(9):
             change, state = optimiser.update(jnp.ones(()), state)
@@ -90,7 +105,7 @@ class TestOptimiser:
         np.testing.assert_allclose(steps, -0.1 * np.arange(8, -1, -1), atol=1e-6)
 
     def test_adam_is_indifferent_to_the_gradient_s_scale(self):
-        optimiser = learner(outer_step_size=0.8)._optimiser()
+        optimiser = learner(outer_step_size=0.8).config.optimiser()
         for scale in (1.0, 1e3):
             change, _ = optimiser.update(jnp.asarray(scale), optimiser.init(jnp.zeros(())))
             assert float(change) == pytest.approx(-0.8, rel=1e-3)
@@ -146,11 +161,36 @@ class TestReport:
 
 
 class TestSettings:
-    @pytest.mark.parametrize(
-        "name",
-        ["iterations", "tasks", "steps_per_task", "batch_size", "inner_steps", "outer_updates", "snapshot_every"],
-    )
+    @pytest.mark.parametrize("name", ["iterations", "tasks", "steps_per_task", "outer_updates", "snapshot_every"])
     @pytest.mark.parametrize("value", [0, -3])
     def test_counts_are_at_least_one(self, name, value):
         with pytest.raises(UpslopeError, match=f"{name} is {value}"):
             MetaTrainingConfig(**{name: value})
+
+    @pytest.mark.parametrize(
+        ("posterior", "name"),
+        [
+            (NetworkPosterior, "batch_size"),
+            (NetworkPosterior, "inner_steps"),
+            (TablePosterior, "environments"),
+            (TablePosterior, "inner_steps"),
+        ],
+    )
+    @pytest.mark.parametrize("value", [0, -3])
+    def test_counts_of_posteriors_are_at_least_one(self, posterior, name, value):
+        with pytest.raises(UpslopeError, match=f"{name} is {value}"):
+            posterior(**{name: value})
+
+    @pytest.mark.parametrize("share", [-0.1, 1.5])
+    def test_shares_lie_between_zero_and_one(self, share):
+        for settings in ({"averaging": share}, {"select_from": share}, {"epsilon": (0.1, share)}):
+            with pytest.raises(UpslopeError, match=f"is {share}, but it is a share"):
+                MetaTrainingConfig(**settings)
+        for posterior in (NetworkPosterior, TablePosterior):
+            with pytest.raises(UpslopeError, match=f"target_decay is {share}"):
+                posterior(target_decay=share)
+
+    def test_some_of_the_posterior_s_settings_can_be_changed(self):
+        config = TINY.with_posterior(inner_steps=7)
+        assert config.posterior == dataclasses.replace(TINY.posterior, inner_steps=7)
+        assert dataclasses.replace(config, posterior=TINY.posterior) == TINY

@@ -10,26 +10,32 @@ import pytest
 from support.batches import random_batch, small_network
 from support.comparing import assert_trees_close, assert_trees_identical, largest
 from support.differences import assert_gradient
-from support.meta import ALPHA, BATCH, TASKS, learner
+from support.meta import ALPHA, BATCH, TASKS, learner_by
 from support.probes import discrete_family
-from upslope.equations.maml import adapt
-from upslope.meta_training.algorithm1 import MetaTraining, TaskSamples
+from upslope.equations.maml import adapt, meta_loss
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.posteriors.network import TaskBatch
 from upslope.meta_training.recipes import as_printed
 
 
-def samples(*, fixed_targets=True) -> TaskSamples:
+def samples(*, fixed_targets=True) -> TaskBatch:
     """Random transitions of two tasks, TD targets from a network that is not θ."""
     batch = random_batch(4, leading=(TASKS, BATCH))
     target = small_network(7)
-    return TaskSamples(batch, jax.vmap(jax.vmap(target))(batch.next_obs) if fixed_targets else None)
+    return TaskBatch(batch, jax.vmap(jax.vmap(target.value))(batch.next_obs) if fixed_targets else None)
 
 
 def of_task(data, index):
     return jax.tree.map(lambda leaf: leaf[index], data)
 
 
+def outer_loss(meta, theta, data):
+    posterior = meta.config.posterior
+    return meta_loss(posterior.adapt, posterior.distance, theta, data)
+
+
 def outer_gradient(meta, theta, data):
-    return jax.jit(lambda net: jax.grad(meta.outer_loss)(net, data))(theta)
+    return jax.jit(lambda net: meta.outer_gradient(net, data)[1])(theta)
 
 
 @pytest.fixture
@@ -44,26 +50,26 @@ class TestKeptGraph:
 
     @pytest.mark.parametrize("inner_steps", [1, 2])
     def test_with_constant_td_targets_it_is_the_exact_gradient(self, inner_steps):
-        meta, theta, data = learner(outer_target="kept", inner_steps=inner_steps), small_network(0), samples()
-        objective = jax.jit(lambda net: meta.outer_loss(net, data))
+        meta, theta, data = learner_by(outer_target="kept", inner_steps=inner_steps), small_network(0), samples()
+        objective = jax.jit(lambda net: outer_loss(meta, net, data))
         assert_gradient(objective, theta, outer_gradient(meta, theta, data), rtol=1e-5)
 
     def test_with_full_td_gradients_it_is_the_exact_gradient(self):
-        meta = learner(outer_target="kept", td_gradient="full", target_decay=None)
+        meta = learner_by(outer_target="kept", td_gradient="full", target_decay=None)
         theta, data = small_network(0), samples(fixed_targets=False)
-        objective = jax.jit(lambda net: meta.outer_loss(net, data))
+        objective = jax.jit(lambda net: outer_loss(meta, net, data))
         assert_gradient(objective, theta, outer_gradient(meta, theta, data), rtol=1e-5)
 
     def test_rematerialised_it_is_the_same(self):
         """And other operations lead to it: what the inner steps made is made again."""
         theta, data = small_network(0), samples()
-        kept, again = (learner(outer_target="kept", inner_steps=2, rematerialise=how) for how in (False, True))
+        kept, again = (learner_by(outer_target="kept", inner_steps=2, rematerialise=how) for how in (False, True))
         assert_trees_close(outer_gradient(again, theta, data), outer_gradient(kept, theta, data), rtol=1e-9, atol=1e-12)
-        assert "remat" in str(jax.make_jaxpr(lambda net: again.outer_loss(net, data))(theta))
-        assert "remat" not in str(jax.make_jaxpr(lambda net: kept.outer_loss(net, data))(theta))
+        assert "remat" in str(jax.make_jaxpr(lambda net: outer_loss(again, net, data))(theta))
+        assert "remat" not in str(jax.make_jaxpr(lambda net: outer_loss(kept, net, data))(theta))
 
     def test_first_order_takes_the_posterior_s_jacobian_for_the_identity(self):
-        meta, theta, data = learner(outer_target="kept", first_order=True), small_network(0), samples()
+        meta, theta, data = learner_by(outer_target="kept", first_order=True), small_network(0), samples()
         ours = outer_gradient(meta, theta, data)
         expected = jax.jit(lambda net: mean_of_pull(meta, net, data, through_posterior=True))(theta)
         assert_trees_close(ours, expected, rtol=1e-9, atol=1e-12)
@@ -75,14 +81,14 @@ class TestStoppedTarget:
 
     @pytest.mark.parametrize("first_order", [False, True])
     def test_it_is_the_regression_s_gradient(self, first_order):
-        meta, theta, data = learner(first_order=first_order), small_network(0), samples()
+        meta, theta, data = learner_by(first_order=first_order), small_network(0), samples()
         ours = outer_gradient(meta, theta, data)
         expected = jax.jit(lambda net: mean_of_pull(meta, net, data))(theta)
         assert_trees_close(ours, expected, rtol=1e-9, atol=1e-12)
 
     def test_it_differs_from_the_kept_one(self):
         theta, data = small_network(0), samples()
-        stopped, kept = (outer_gradient(learner(outer_target=how), theta, data) for how in ("stopped", "kept"))
+        stopped, kept = (outer_gradient(learner_by(outer_target=how), theta, data) for how in ("stopped", "kept"))
         assert float(jnp.abs(stopped.value_head.bias - kept.value_head.bias).max()) > 1e-4
 
 
@@ -91,9 +97,9 @@ def mean_of_pull(meta, theta, data, *, through_posterior=False):
     gradients = []
     for task in range(TASKS):
         own = of_task(data, task)
-        phi = adapt(meta.task_td_loss, theta, own, step_size=ALPHA)
+        phi = adapt(meta.config.posterior.td_loss, theta, own, step_size=ALPHA)
         for index in range(BATCH):
-            obs, action = own.batch.obs[index], own.batch.action[index]
+            obs, action = own.transitions.obs[index], own.transitions.action[index]
             (q, slope), (target, target_slope) = (
                 jax.value_and_grad(lambda net, obs=obs, action=action: net(obs)[action])(net) for net in (theta, phi)
             )
@@ -108,16 +114,17 @@ class TestAsPrinted:
 
     meta = MetaTraining(
         discrete_family(),
-        dataclasses.replace(as_printed(), tasks=TASKS, batch_size=BATCH, steps_per_task=8, hidden=(6, 5)),
+        dataclasses.replace(as_printed(), tasks=TASKS, steps_per_task=8, hidden=(6, 5)).with_posterior(batch_size=BATCH),
     )
 
     def test_an_iteration_is_one_gradient_step_on_equation_7(self):
         def both(state):
             _, task_key, collect_key, update_key = jax.random.split(state.key, 4)
             tasks = self.meta.family.sample_many(task_key, TASKS)
-            experience = self.meta.collect(collect_key, tasks, state.theta)
-            data = self.meta.draw(jax.random.split(update_key, 1)[0], experience, state.target)
-            gradient = jax.grad(self.meta.outer_loss)(state.theta, data)
+            experience = self.meta.collect(collect_key, tasks, self.meta.behaviour(tasks, state.theta))()
+            keys = jax.random.split(jax.random.split(update_key, 1)[0], TASKS)
+            data = self.meta.config.posterior.draw(keys, experience, state.target)
+            gradient = jax.grad(lambda net: outer_loss(self.meta, net, data))(state.theta)
             by_hand = jax.tree.map(lambda p, g: p - self.meta.config.outer_step_size * g, state.theta, gradient)
             return by_hand, self.meta.step(state)[0]
 
@@ -129,37 +136,38 @@ class TestAsPrinted:
 
     def test_its_gradient_is_exact(self, float64):
         theta, data = small_network(0), samples(fixed_targets=False)
-        objective = jax.jit(lambda net: self.meta.outer_loss(net, data))
+        objective = jax.jit(lambda net: outer_loss(self.meta, net, data))
         assert_gradient(objective, theta, outer_gradient(self.meta, theta, data), rtol=1e-5)
 
 
 class TestTDLoss:
     """Mean of Eq. 5 over a task's batch, by either kind of target."""
 
-    def expected(self, next_q):
-        batch, theta = of_task(samples().batch, 0), small_network(0)
+    def expected(self, next_value):
+        batch, theta = of_task(samples().transitions, 0), small_network(0)
         errors = [
-            float(batch.reward[i] + batch.discount[i] * next_q[i].max() - theta(batch.obs[i])[batch.action[i]])
+            float(batch.reward[i] + batch.discount[i] * next_value[i] - theta(batch.obs[i])[batch.action[i]])
             for i in range(BATCH)
         ]
         return np.mean(np.square(errors))
 
     def test_with_the_averaged_network_s_targets(self):
         own = of_task(samples(), 0)
-        loss = learner().task_td_loss(small_network(0), own)
-        assert float(loss) == pytest.approx(self.expected(own.next_q), rel=1e-5)
+        loss = learner_by().config.posterior.td_loss(small_network(0), own)
+        assert float(loss) == pytest.approx(self.expected(own.next_value), rel=1e-5)
 
     def test_with_its_own_targets(self):
         own = of_task(samples(fixed_targets=False), 0)
-        next_q = jax.vmap(small_network(0))(own.batch.next_obs)
-        assert float(learner().task_td_loss(small_network(0), own)) == pytest.approx(self.expected(next_q), rel=1e-5)
+        next_value = jax.vmap(small_network(0))(own.transitions.next_obs).max(axis=-1)
+        loss = learner_by().config.posterior.td_loss(small_network(0), own)
+        assert float(loss) == pytest.approx(self.expected(next_value), rel=1e-5)
 
     def test_semi_and_full_gradients_differ_only_with_own_targets(self):
         theta = small_network(0)
         for fixed, differ in ((True, False), (False, True)):
             own = of_task(samples(fixed_targets=fixed), 0)
             semi, full = (
-                jax.grad(learner(td_gradient=kind).task_td_loss)(theta, own).value_head.bias
+                jax.grad(learner_by(td_gradient=kind).config.posterior.td_loss)(theta, own).value_head.bias
                 for kind in ("semi", "full")
             )
             assert bool(jnp.abs(semi - full).max() > 1e-3) is differ
@@ -168,7 +176,7 @@ class TestTDLoss:
 @pytest.mark.parametrize("outer_target", ["kept", "stopped"])
 def test_task_by_task_makes_no_difference(outer_target):
     theta, data = small_network(0), samples()
-    together = learner(outer_target=outer_target).outer_gradient(theta, data)
-    in_turn = learner(outer_target=outer_target, task_by_task=True).outer_gradient(theta, data)
+    together = learner_by(outer_target=outer_target).outer_gradient(theta, data)
+    in_turn = learner_by(outer_target=outer_target, task_by_task=True).outer_gradient(theta, data)
     assert_trees_close(in_turn, together, rtol=1e-4)
     assert largest(together[1]) > 1e-4

@@ -1,18 +1,24 @@
-"""Algorithm 1 at a size that hand-made sums can follow."""
+"""Algorithm 1 at a size that sums by hand can follow."""
 
-import dataclasses
+from dataclasses import replace
 
 from support.probes import discrete_family
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior
 
 TASKS, BATCH, ALPHA = 2, 3, 0.1
 TINY = MetaTrainingConfig(
-    iterations=4, tasks=TASKS, steps_per_task=8, batch_size=BATCH, hidden=(6, 5), inner_step_size=ALPHA,
-    outer_updates=2, evaluation_tasks=3, evaluation_episodes=2,
+    iterations=4, tasks=TASKS, steps_per_task=8, hidden=(6, 5), outer_updates=2, evaluation_tasks=3,
+    evaluation_episodes=2, posterior=NetworkPosterior(batch_size=BATCH, inner_step_size=ALPHA),
 )  # fmt: skip
 
 
 def learner(**changes) -> MetaTraining:
     """On the probe family, with some settings changed."""
-    return MetaTraining(discrete_family(), dataclasses.replace(TINY, **changes))
+    return MetaTraining(discrete_family(), replace(TINY, **changes))
+
+
+def learner_by(**changes) -> MetaTraining:
+    """On the probe family, with some of the posterior's settings changed."""
+    return MetaTraining(discrete_family(), TINY.with_posterior(**changes))

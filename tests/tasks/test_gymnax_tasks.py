@@ -11,11 +11,14 @@ from support.counting import Counting, OldStyle, Params
 from upslope.envs.time_steps import TimeStepEnvironment
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
-from upslope.networks.dueling import ConvolutionalTorso
+from upslope.meta_training.posteriors import NetworkPosterior
+from upslope.networks.convolutional import ConvolutionalTorso
 from upslope.tasks.actions import ContinuousActions
 
 KEY = jax.random.key(0)
-SMALL = MetaTrainingConfig(tasks=2, steps_per_task=8, batch_size=4, hidden=(8,), outer_updates=1, evaluation_tasks=2)
+SMALL = MetaTrainingConfig(
+    tasks=2, steps_per_task=8, hidden=(8,), outer_updates=1, evaluation_tasks=2, posterior=NetworkPosterior(batch_size=4)
+)
 
 
 def counting(goal=4, **settings):

@@ -15,8 +15,13 @@ from upslope.adaptation.algorithm2 import AdaptationConfig
 from upslope.learners.ddpg import DDPG, DDPGConfig
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior
 from upslope.networks.actor_critic import Actor, Critic
-from upslope.networks.dueling import ConvolutionalTorso, DuelingQ, QNetwork
+from upslope.networks.convolutional import ConvolutionalTorso
+from upslope.networks.dueling import DuelingQ
+from upslope.networks.mlp import numpy_layer
+from upslope.networks.numpy_acting import affine
+from upslope.networks.q_network import QNetwork
 from upslope.priors.prior import Prior, trained_on
 from upslope.run.loop import broadcast, run
 
@@ -75,17 +80,22 @@ class TestNumpy:
         [
             dueling(),
             dueling("tanh"),
-            dueling().advantage,
             QNetwork(KEY, SPACE.shape, 3, (8,), SCALE),
             Actor(KEY, SPACE.shape, 3, (8,), SCALE),
         ],
     )
     def test_networks_act_as_in_jax(self, network):
         images = IMAGES.astype(np.float32)
-        expected = jax.vmap(network)(jnp.asarray(images))
-        np.testing.assert_allclose(numpy_batch(network)(images), expected, rtol=1e-5, atol=1e-6)
-        in_order = numpy_batch(network, order_only=True)(images)
-        np.testing.assert_array_equal(np.argsort(in_order), np.argsort(expected))
+        expected = np.asarray(jax.vmap(network.best)(jnp.asarray(images)))
+        np.testing.assert_allclose(network.numpy_best()(images), expected, rtol=1e-5, atol=1e-6)
+
+    @pytest.mark.parametrize("activation", ["relu", "tanh"])
+    def test_scores_are_equal_to_jax(self, activation):
+        images, network = IMAGES.astype(np.float32), dueling(activation)
+        outputs = np.dot(affine(numpy_layer(network.advantage_head)), network.torso.numpy_features()(images)).T
+        expected = np.asarray(jax.vmap(network.heads)(jnp.asarray(images))[1])
+        np.testing.assert_allclose(outputs, expected, rtol=1e-5, atol=1e-6)
+        np.testing.assert_array_equal(np.argsort(outputs), np.argsort(expected))
 
     @pytest.mark.parametrize("activation", ["relu", "tanh"])
     def test_potentials_are_equal_to_jax_in_double_precision(self, family, activation, tmp_path):
@@ -124,8 +134,8 @@ class TestLearners:
     @pytest.mark.slow
     def test_algorithms_1_and_2(self, family):
         config = MetaTrainingConfig(
-            iterations=2, tasks=2, steps_per_task=6, batch_size=4, hidden=(8,), outer_updates=1, snapshot_every=2,
-            evaluation_tasks=1, evaluation_episodes=1,
+            iterations=2, tasks=2, steps_per_task=6, hidden=(8,), outer_updates=1, snapshot_every=2,
+            evaluation_tasks=1, evaluation_episodes=1, posterior=NetworkPosterior(batch_size=4),
         )  # fmt: skip
         prior = upslope.meta_train(family, config=config)
         assert isinstance(prior.network.torso, ConvolutionalTorso)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from upslope.learners.lookups import policy_with_table
+from upslope.learners.policies import AbstractPolicy
 from upslope.learners.replay import Replay
 from upslope.learners.shaping import Shaping
 from upslope.tasks.family import AbstractFamily
@@ -41,7 +42,7 @@ class Experience(eqx.Module):
         record = Record(example, None if shaping is None else jnp.zeros(()))
         return cls(family.reset(key, _alone(task)), Replay.empty(record, capacity))
 
-    def act(self, key: Key, family: AbstractFamily, task: Task, policy: Policy, steps: int) -> tuple[Any, Transition]:
+    def act(self, key: Key, family: AbstractFamily, task: Task, policy: AbstractPolicy, steps: int) -> tuple[Any, Transition]:
         """Acts for ``steps`` steps: the running environment after them, and the raw transitions ``[steps, ...]``."""
         policy = policy_with_table(family, task, policy, steps)
         running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
@@ -57,7 +58,7 @@ class Experience(eqx.Module):
         key: Key,
         family: AbstractFamily,
         task: Task,
-        policy: Policy,
+        policy: AbstractPolicy,
         steps: int,
         shaping: Shaping | None = None,
     ) -> tuple["Experience", Transition]:

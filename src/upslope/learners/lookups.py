@@ -7,9 +7,10 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
+from upslope.learners.policies import AbstractPolicy
 from upslope.networks.dueling import AbstractDueling, DuelingQ, DuelingTable
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Action, Key, Policy, Task
+from upslope.types import Action, Key, Task
 
 #: One state among all states costs a third of what it costs alone (the paper's network, CPU).
 _CHEAPER_TOGETHER = 3
@@ -43,12 +44,12 @@ def dueling_table(family: AbstractFamily, task: Task, network: DuelingQ) -> Abst
     return DuelingTable(states=family.states, values=values, outputs=outputs, advantage_head=network.advantage_head)
 
 
-def policy_with_table(family: AbstractFamily, task: Task, policy: Policy, steps: int) -> Policy:
+def policy_with_table(family: AbstractFamily, task: Task, policy: AbstractPolicy, steps: int) -> AbstractPolicy:
     """The same policy; in a finite task its best actions are computed once for all states, where that is cheaper."""
     if not family.lists_states:
         return policy
     observations = family.states.observe_all(task)
     if len(observations) > _CHEAPER_TOGETHER * steps:
         return policy
-    network: Any = policy.network  # type: ignore[attr-defined]
-    return replace(policy, network=BestTable(family.states, jax.vmap(network.best)(observations), network))  # type: ignore[type-var]
+    best = jax.vmap(policy.network.best)(observations)
+    return replace(policy, network=BestTable(family.states, best, policy.network))
