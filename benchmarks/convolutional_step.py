@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior
 from upslope.networks.convolution import ON_GPUS, Precision
 from upslope.networks.convolution_forms import FORMS
 from upslope.networks.dueling import DuelingQ
@@ -31,9 +32,17 @@ class Sizes:
 def outer_gradient(sizes: Sizes, target: str, *, task_by_task: bool = True) -> Callable[..., Any]:
     """Algorithm 1's, of the outer loss of all tasks."""
     config = MetaTrainingConfig(
-        tasks=sizes.tasks, batch_size=sizes.batch, hidden=HIDDEN, activation="relu", inner_step_size=INNER_STEP_SIZE,
-        outer_target="stopped" if target == "stopped" else "kept", target_decay=None, task_by_task=task_by_task,
-    )  # fmt: skip
+        tasks=sizes.tasks,
+        hidden=HIDDEN,
+        activation="relu",
+        posterior=NetworkPosterior(
+            batch_size=sizes.batch,
+            inner_step_size=INNER_STEP_SIZE,
+            outer_target="stopped" if target == "stopped" else "kept",
+            target_decay=None,
+            task_by_task=task_by_task,
+        ),
+    )
     return MetaTraining(clean_maps(), config).outer_gradient
 
 

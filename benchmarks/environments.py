@@ -25,7 +25,7 @@ from benchmarks.host_environments import STEP_SIZE, hosted, on_host
 from upslope.compiler_options import QUICK_TO_RUN
 from upslope.equations.maml import descend
 from upslope.learners.dqn import dqn_loss
-from upslope.networks.dueling import QNetwork
+from upslope.networks.q_network import QNetwork
 from upslope.run.compiling import set_up_devices
 from upslope.run.randomness import unroll
 from upslope.tasks import cartpoles, obstacle_maps
@@ -172,7 +172,7 @@ def player(rival: Rival, width: int, steps: int, level: str) -> Callable[[jax.Ar
         if level == "alone":
             action = jax.random.randint(action_key, (width,), 0, rival.actions)
         else:
-            action = jnp.argmax(jax.vmap(network)(flat(obs)), axis=-1)
+            action = jax.vmap(network.best)(flat(obs))
         following, state, reward, terminated, _, info = step(keys, state, action, params)
         if level == "with training":
             seen = Transition(flat(obs), action, reward, 0.98 * (1.0 - terminated), flat(info["final_observation"]))

@@ -5,12 +5,11 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from upslope.equations.maml import descend
 from upslope.learners.dqn import dqn_loss
-from upslope.networks.dueling import QNetwork
+from upslope.networks.q_network import QNetwork
 from upslope.types import Transition
 
 STEP_SIZE = 1e-3
@@ -54,7 +53,7 @@ def hosted(envs: Any, steps: int, level: str) -> Callable[[], object]:
 
     @jax.jit
     def act(network: QNetwork, obs: jax.Array) -> jax.Array:
-        return jnp.argmax(jax.vmap(network)(obs), axis=-1)
+        return jax.vmap(network.best)(obs)
 
     @jax.jit
     def improve(network: QNetwork, seen: Transition) -> QNetwork:

@@ -25,10 +25,11 @@ import tyro
 from benchmarks import harness
 from benchmarks.going import Going
 from benchmarks.harness import Row
-from upslope.equations.maml import gradient_task_by_task
 from upslope.learners.dqn import DQN, DQNConfig
-from upslope.meta_training.algorithm1 import MetaTraining, TaskSamples
+from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior
+from upslope.meta_training.posteriors.network import TaskBatch
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
 from upslope.tasks import cartpoles, clean_maps
@@ -168,15 +169,22 @@ def meta_gradient(case: Case) -> Callable[[], Any]:
     """The gradient of Eq. 7 on both sides, with convolutions, one task after the other."""
     from benchmarks.convolutional_step import INNER_STEP_SIZE, Sizes, network, transitions
 
-    target = "stopped" if case.kind == DEFAULT else "kept"
     config = MetaTrainingConfig(
-        hidden=(128, 128), activation="relu", inner_step_size=INNER_STEP_SIZE, inner_steps=case.size,
-        outer_target=target, first_order=case.kind == "first order", target_decay=None, task_by_task=True,
-        rematerialise=case.kind == "rematerialised",
-    )  # fmt: skip
+        hidden=(128, 128),
+        activation="relu",
+        posterior=NetworkPosterior(
+            inner_step_size=INNER_STEP_SIZE,
+            inner_steps=case.size,
+            outer_target="stopped" if case.kind == DEFAULT else "kept",
+            first_order=case.kind == "first order",
+            rematerialise=case.kind == "rematerialised",
+            target_decay=None,
+            task_by_task=True,
+        ),
+    )
     meta = MetaTraining(clean_maps(), config)
-    theta, samples = network("patches"), TaskSamples(transitions(Sizes()), None)
-    step = jax.jit(lambda theta: gradient_task_by_task(meta.task_outer_loss, theta, samples))
+    theta, samples = network("patches"), TaskBatch(transitions(Sizes()), None)
+    step = jax.jit(lambda theta: meta.outer_gradient(theta, samples))
     return lambda: jax.block_until_ready(step(theta))
 
 

@@ -29,7 +29,7 @@ from benchmarks.convolutional_step import (
 from benchmarks.harness import Bar, Part, Row
 from upslope.compiler_options import ONE_THREAD
 from upslope.learners.sharing import mean_of_all, own_tasks
-from upslope.meta_training.algorithm1 import TaskSamples
+from upslope.meta_training.posteriors.network import TaskBatch
 from upslope.networks.convolution import Precision, fastest_form
 from upslope.networks.convolution_forms import FORMS
 from upslope.networks.dueling import DuelingQ
@@ -159,7 +159,7 @@ def upslope_step(
 ) -> Callable[[], tuple[Any, DuelingQ]]:
     """Algorithm 1's own outer gradient on random transitions, TD targets made with it, by one forward pass of θ."""
     step = jax.jit(outer_gradient(sizes, target, task_by_task=task_by_task))
-    theta, samples = network(form, precision), TaskSamples(transitions(sizes), None)
+    theta, samples = network(form, precision), TaskBatch(transitions(sizes), None)
     return lambda: jax.block_until_ready(step(theta, samples))
 
 
@@ -175,7 +175,7 @@ def a_learner_on_each_core(sizes: Sizes, form: str, target: str, precision: Prec
     step = jax.jit(
         jax.shard_map(own, mesh=mesh, in_specs=(cores,), out_specs=cores, check_vma=False), compiler_options=ONE_THREAD
     )
-    each = network(form, precision), TaskSamples(transitions(sizes), None)
+    each = network(form, precision), TaskBatch(transitions(sizes), None)
     every = jax.tree.map(lambda leaf: jnp.stack([leaf] * jax.device_count()), each)
     batch = jax.device_put(every, NamedSharding(mesh, cores))
     return lambda: jax.block_until_ready(step(batch))
@@ -186,7 +186,7 @@ def shared_by_the_cores(sizes: Sizes, form: str, target: str, precision: Precisi
     mesh = jax.make_mesh((jax.device_count(),), ("cores",))
     gradient = outer_gradient(sizes, target)
 
-    def own(theta: DuelingQ, samples: TaskSamples) -> Any:
+    def own(theta: DuelingQ, samples: TaskBatch) -> Any:
         return mean_of_all(gradient(theta, own_tasks(samples, "cores")), "cores")
 
     everywhere = PartitionSpec()
@@ -194,7 +194,7 @@ def shared_by_the_cores(sizes: Sizes, form: str, target: str, precision: Precisi
         jax.shard_map(own, mesh=mesh, in_specs=(everywhere, everywhere), out_specs=everywhere, check_vma=False),
         compiler_options=ONE_THREAD,
     )
-    batch = network(form, precision), TaskSamples(transitions(sizes), None)
+    batch = network(form, precision), TaskBatch(transitions(sizes), None)
     batch = jax.device_put(batch, NamedSharding(mesh, everywhere))
     return lambda: jax.block_until_ready(step(*batch))
 

@@ -17,7 +17,8 @@ from upslope.learners.dqn import DQN, DQNState, dqn_loss
 from upslope.learners.experience import Experience
 from upslope.learners.learner import AbstractLearner
 from upslope.learners.shaping import add_shaping
-from upslope.meta_training.algorithm1 import MetaTraining, MetaTrainingState
+from upslope.meta_training.algorithm1 import MetaTraining
+from upslope.meta_training.state import MetaTrainingState
 from upslope.types import Scalar, Transition
 
 Phase = Callable[[Any, Any], tuple[Any, Scalar]]
@@ -57,10 +58,13 @@ def meta_draw(meta: MetaTraining, state: MetaTrainingState) -> tuple[MetaTrainin
 
 def meta_gradients(meta: MetaTraining, state: MetaTrainingState) -> tuple[MetaTrainingState, Scalar]:
     """The outer gradients, the inner steps in them."""
-    gathered = meta.gather(state)
+    gathered, posterior = meta.gather(state), meta.config.posterior
 
     def one(theta: Any, key: Any) -> tuple[Any, Scalar]:
-        loss, gradient = meta.outer_gradient(theta, meta.draw(key, gathered, state.target))
+        samples = meta.draw(key, gathered, state.target)
+        loss, gradient = meta_gradient(
+            posterior.adapt, posterior.distance, theta, samples, in_sequence=meta.in_sequence
+        )
         return jax.tree.map(lambda leaf, slope: leaf - 1e-6 * slope, theta, gradient), loss
 
     keys = jax.random.split(state.key, meta.config.outer_updates)

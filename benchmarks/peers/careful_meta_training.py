@@ -15,12 +15,13 @@ from benchmarks.peers.numpy_cartpoles import CartPoles, numpy_advantages
 from benchmarks.peers.plain_meta_training import Batch, move, outer_step_size, taken
 from benchmarks.peers.torch_networks import DuelingMLP
 from upslope.meta_training.config import MetaTrainingConfig
+from upslope.meta_training.posteriors import NetworkPosterior
 
 Params = dict[str, torch.Tensor]
 
 
 class CarefulMetaTraining:
-    """Algorithm 1, one seed.
+    """Algorithm 1, one seed; the posterior of the config is the whole network.
 
     Attributes:
         compiled: whether one outer gradient, the same shapes each time, goes through ``torch.compile``.
@@ -29,11 +30,12 @@ class CarefulMetaTraining:
     def __init__(self, config: MetaTrainingConfig, seed: int = 0, gamma: float = 0.98, *, compiled: bool = False):
         torch.manual_seed(seed)
         self.config, self.gamma = config, gamma
+        self.posterior: Any = config.posterior
         self.rng = np.random.default_rng(seed)
         self.theta = DuelingMLP(hidden=config.hidden[0])
         self.target, self.average = copy.deepcopy(self.theta), copy.deepcopy(self.theta)
         self.optimiser = torch.optim.Adam(self.theta.parameters(), lr=config.outer_step_size, foreach=True)
-        self.outer_gradient: Callable[..., Any] = outer_gradient_of(config, self.theta)
+        self.outer_gradient: Callable[..., Any] = outer_gradient_of(self.posterior, self.theta)
         if compiled:
             self.outer_gradient = torch.compile(self.outer_gradient, dynamic=False)
         self.updates = 0
@@ -43,10 +45,10 @@ class CarefulMetaTraining:
         for _ in range(iterations):
             replay = self.collect()
             for _ in range(self.config.outer_updates):
-                chosen = self.rng.integers(self.config.steps_per_task, size=(self.config.tasks, self.config.batch_size))
+                chosen = self.rng.integers(self.config.steps_per_task, size=(self.config.tasks, self.posterior.batch_size))
                 tasks = np.arange(self.config.tasks)[:, None]
                 self.outer_step(Batch(*(torch.from_numpy(column[tasks, chosen]) for column in replay)))
-            move(self.target, self.theta, 1 - (self.config.target_decay or 0.0))
+            move(self.target, self.theta, 1 - (self.posterior.target_decay or 0.0))
             move(self.average, self.theta, 1 - self.config.averaging)
 
     def collect(self) -> tuple[np.ndarray, ...]:
@@ -80,7 +82,7 @@ class CarefulMetaTraining:
         return float(loss)
 
 
-def outer_gradient_of(config: MetaTrainingConfig, network: torch.nn.Module) -> Callable[..., tuple[Params, Any]]:
+def outer_gradient_of(posterior: NetworkPosterior, network: torch.nn.Module) -> Callable[..., tuple[Params, Any]]:
     """The outer gradient and loss, a function of θ, of the averaged network, and of a batch ``[tasks, batch, ...]``."""
 
     def q(params: Params, obs: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
@@ -91,9 +93,9 @@ def outer_gradient_of(config: MetaTrainingConfig, network: torch.nn.Module) -> C
 
     def posterior_q(theta: Params, obs: torch.Tensor, action: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         phi = theta
-        for _ in range(config.inner_steps):
+        for _ in range(posterior.inner_steps):
             gradient = grad(inner_loss)(phi, obs, action, targets)
-            phi = {name: weight - config.inner_step_size * gradient[name] for name, weight in phi.items()}
+            phi = {name: weight - posterior.inner_step_size * gradient[name] for name, weight in phi.items()}
         return q(phi, obs, action)
 
     def outer_gradient(
@@ -106,10 +108,10 @@ def outer_gradient_of(config: MetaTrainingConfig, network: torch.nn.Module) -> C
         next_obs: torch.Tensor,
     ) -> tuple[Params, torch.Tensor]:
         targets = reward + discount * functional_call(network, target, (next_obs,)).amax(dim=-1)
-        posterior = vmap(posterior_q, in_dims=(None, 0, 0, 0))(theta, obs, action, targets)
+        aim = vmap(posterior_q, in_dims=(None, 0, 0, 0))(theta, obs, action, targets)
 
         def outer_loss(theta: Params) -> tuple[torch.Tensor, torch.Tensor]:
-            loss = ((q(theta, obs, action) - posterior) ** 2).mean()
+            loss = ((q(theta, obs, action) - aim) ** 2).mean()
             return loss, loss.detach()
 
         return grad(outer_loss, has_aux=True)(theta)

@@ -4,7 +4,7 @@ The recipe is upslope's default one (`upslope.meta_training.recipes.MetaTraining
 """
 
 import copy
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -32,11 +32,12 @@ class Batch(NamedTuple):
 
 
 class PlainMetaTraining:
-    """Algorithm 1, one seed."""
+    """Algorithm 1, one seed; the posterior of the config is the whole network."""
 
     def __init__(self, config: MetaTrainingConfig, seed: int = 0, gamma: float = 0.98, low: float = 0.25):
         torch.manual_seed(seed)
         self.config, self.gamma, self.low = config, gamma, low
+        self.posterior: Any = config.posterior
         self.rng = np.random.default_rng(seed)
         self.theta = DuelingMLP(hidden=config.hidden[0])
         self.target, self.average = copy.deepcopy(self.theta), copy.deepcopy(self.theta)
@@ -49,8 +50,8 @@ class PlainMetaTraining:
             epsilons = np.linspace(*self.config.epsilon, self.config.tasks)
             replays = [self.collect(self.rng.uniform(self.low, 5.0), epsilon) for epsilon in epsilons]
             for _ in range(self.config.outer_updates):
-                self.outer_step([replay.sample(self.config.batch_size, self.rng) for replay in replays])
-            move(self.target, self.theta, 1 - (self.config.target_decay or 0.0))
+                self.outer_step([replay.sample(self.posterior.batch_size, self.rng) for replay in replays])
+            move(self.target, self.theta, 1 - (self.posterior.target_decay or 0.0))
             move(self.average, self.theta, 1 - self.config.averaging)
 
     def collect(self, length: float, epsilon: float) -> Batch:
@@ -95,11 +96,11 @@ class PlainMetaTraining:
         with torch.no_grad():
             targets = batch.reward + batch.discount * self.target(batch.next_obs).amax(dim=1)
         phi = dict(self.theta.named_parameters())
-        for _ in range(self.config.inner_steps):
+        for _ in range(self.posterior.inner_steps):
             inner = ((targets - taken(functional_call(self.theta, phi, (batch.obs,)), batch.action)) ** 2).mean()
             gradients = torch.autograd.grad(inner, tuple(phi.values()))
             steps = zip(phi.items(), gradients, strict=True)
-            phi = {name: weight - self.config.inner_step_size * gradient for (name, weight), gradient in steps}
+            phi = {name: weight - self.posterior.inner_step_size * gradient for (name, weight), gradient in steps}
         posterior = taken(functional_call(self.theta, phi, (batch.obs,)), batch.action).detach()
         return ((taken(self.theta(batch.obs), batch.action) - posterior) ** 2).mean()
 

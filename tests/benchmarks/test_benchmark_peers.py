@@ -21,13 +21,17 @@ from benchmarks.peers.torch_networks import carry_over  # noqa: E402
 
 from upslope.envs.cartpole import CartPoleState  # noqa: E402
 from upslope.learners.dqn import DQNConfig, adam, dqn_loss  # noqa: E402
-from upslope.meta_training.algorithm1 import MetaTraining, TaskSamples  # noqa: E402
+from upslope.meta_training.algorithm1 import MetaTraining  # noqa: E402
 from upslope.meta_training.config import MetaTrainingConfig  # noqa: E402
-from upslope.networks.dueling import QNetwork  # noqa: E402
+from upslope.meta_training.posteriors import NetworkPosterior  # noqa: E402
+from upslope.meta_training.posteriors.network import TaskBatch  # noqa: E402
+from upslope.networks.q_network import QNetwork  # noqa: E402
 from upslope.tasks import cartpoles  # noqa: E402
 from upslope.types import Transition  # noqa: E402
 
-CONFIG = MetaTrainingConfig(tasks=3, batch_size=8, steps_per_task=20, iterations=5, inner_step_size=0.1)
+CONFIG = MetaTrainingConfig(
+    tasks=3, steps_per_task=20, iterations=5, posterior=NetworkPosterior(batch_size=8, inner_step_size=0.1)
+)
 FAMILY = cartpoles()
 
 
@@ -55,7 +59,7 @@ def random_batch(shape, seed=0, terminal=True):
 def ours(state, batch, config=CONFIG):
     meta = MetaTraining(FAMILY, config)
     batch = jax.tree.map(jnp.asarray, batch)
-    samples = TaskSamples(batch, jax.vmap(jax.vmap(state.target))(batch.next_obs))
+    samples = TaskBatch(batch, jax.vmap(jax.vmap(state.target.value))(batch.next_obs))
     loss, gradient = jax.jit(meta.outer_gradient)(state.theta, samples)
     return float(loss), gradient
 
@@ -81,7 +85,7 @@ def gradients_of(peer):
 @pytest.mark.parametrize("kind", [PlainMetaTraining, CarefulMetaTraining])
 @pytest.mark.parametrize("inner_steps", [1, 3])
 def test_the_outer_gradient_of_a_peer_is_ours(kind, inner_steps, state):
-    config = replace(CONFIG, inner_steps=inner_steps)
+    config = CONFIG.with_posterior(inner_steps=inner_steps)
     batch = random_batch((3, 8))
     loss, gradient = ours(state, batch, config)
     peer = peer_of(kind, state, config)
@@ -94,13 +98,13 @@ def test_the_outer_gradient_of_a_peer_is_ours(kind, inner_steps, state):
 @pytest.mark.parametrize("kind", [PlainMetaTraining, CarefulMetaTraining])
 def test_three_outer_steps_of_a_peer_are_ours(kind, state):
     """Adam and the falling step size too."""
-    meta, theta = MetaTraining(FAMILY, CONFIG), state.theta
-    optimiser = meta._optimiser().init(theta)
+    theta = state.theta
+    optimiser = CONFIG.optimiser().init(theta)
     peer = peer_of(kind, state)
     for seed in range(3):
         batch = random_batch((3, 8), seed)
         gradient = ours(replace(state, theta=theta), batch)[1]
-        change, optimiser = meta._optimiser().update(gradient, optimiser)
+        change, optimiser = CONFIG.optimiser().update(gradient, optimiser)
         theta = optax.apply_updates(theta, change)
         peer.outer_step(torch_batches(kind, batch))
     found = dict(peer.theta.named_parameters())
@@ -159,7 +163,7 @@ def test_greedy_returns_of_a_policy_known_to_balance_and_of_one_that_falls():
 def test_the_numpy_network_of_the_careful_peer(state):
     obs = np.random.default_rng(0).normal(size=(6, 4)).astype(np.float32)
     found = numpy_advantages(weights_of(state.theta))(obs)
-    np.testing.assert_allclose(found, jax.vmap(state.theta.advantage)(obs), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(found, jax.vmap(state.theta.heads)(obs)[1], rtol=1e-4, atol=1e-5)
 
 
 def test_the_loss_and_one_update_of_the_clean_dqn_are_ours():

@@ -19,9 +19,9 @@ from upslope.tasks import grid_games
 FAMILY = grid_games((3, 4), traps=0.1, slip=0.2, max_steps=10, flat=True)
 MAPS = jax.tree.map(jnp.asarray, draw(FAMILY, 2))
 RECIPE = dataclasses.replace(
-    for_grid_games(4), hidden=(8, 8), environments=2, steps_per_task=20, outer_warmup=0, averaging=0.5,
-    snapshot_every=2, evaluation_tasks=2,
-)  # fmt: skip
+    for_grid_games(4), hidden=(8, 8), steps_per_task=20, outer_warmup=0, averaging=0.5, snapshot_every=2,
+    evaluation_tasks=2,
+).with_posterior(environments=2)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
