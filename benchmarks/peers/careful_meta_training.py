@@ -45,7 +45,9 @@ class CarefulMetaTraining:
         for _ in range(iterations):
             replay = self.collect()
             for _ in range(self.config.outer_updates):
-                chosen = self.rng.integers(self.config.steps_per_task, size=(self.config.tasks, self.posterior.batch_size))
+                chosen = self.rng.integers(
+                    self.config.steps_per_task, size=(self.config.tasks, self.posterior.batch_size)
+                )
                 tasks = np.arange(self.config.tasks)[:, None]
                 self.outer_step(Batch(*(torch.from_numpy(column[tasks, chosen]) for column in replay)))
             move(self.target, self.theta, 1 - (self.posterior.target_decay or 0.0))

@@ -130,7 +130,9 @@ class TestDDPG:
         return train(learners, 1000)
 
     def test_the_actor_finds_the_target_of_each_observation(self, outcome):
-        np.testing.assert_allclose(at_every_place(outcome.states.actor, lambda actor, obs: actor.best(obs))[..., 0], self.targets, atol=0.1)
+        np.testing.assert_allclose(
+            at_every_place(outcome.states.actor, lambda actor, obs: actor.best(obs))[..., 0], self.targets, atol=0.1
+        )
 
     def test_the_critic_learns_the_value_less_the_potential(self, outcome):
         def value(networks, obs):
@@ -170,8 +172,7 @@ class TestMetaTraining:
 
 PRIOR = small_network(3, inputs=PLACES, hidden=(16,))
 PRIOR_VALUE, PRIOR_LEVEL = (
-    np.asarray([function(obs) for obs in OBS])[:, None]
-    for function in (PRIOR.value, PRIOR.highest_advantage)
+    np.asarray([function(obs) for obs in OBS])[:, None] for function in (PRIOR.value, PRIOR.highest_advantage)
 )
 Q = np.array(probes.DISCRETE["choices"][1])
 

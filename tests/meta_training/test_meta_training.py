@@ -1,4 +1,4 @@
-"""Algorithm 1 around its gradient: experience, averaging, step sizes, snapshots, the report, settings that are refused."""
+"""Algorithm 1 around its gradient: experience, averaging, step sizes, snapshots, the report, refused settings."""
 
 import dataclasses
 import itertools

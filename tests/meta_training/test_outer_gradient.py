@@ -114,7 +114,9 @@ class TestAsPrinted:
 
     meta = MetaTraining(
         discrete_family(),
-        dataclasses.replace(as_printed(), tasks=TASKS, steps_per_task=8, hidden=(6, 5)).with_posterior(batch_size=BATCH),
+        dataclasses.replace(as_printed(), tasks=TASKS, steps_per_task=8, hidden=(6, 5)).with_posterior(
+            batch_size=BATCH
+        ),
     )
 
     def test_an_iteration_is_one_gradient_step_on_equation_7(self):

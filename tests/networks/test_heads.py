@@ -51,7 +51,9 @@ class TestChoice:
     def test_the_head_for_discrete_actions(self):
         assert head_class(None, "discrete") is head_class("discrete", "discrete") is DiscreteHead
 
-    @pytest.mark.parametrize(("name", "kind"), [("other", "discrete"), ("discrete", "continuous"), (None, "continuous")])
+    @pytest.mark.parametrize(
+        ("name", "kind"), [("other", "discrete"), ("discrete", "continuous"), (None, "continuous")]
+    )
     def test_no_such_head(self, name, kind):
         with pytest.raises(UpslopeError, match=f"for {kind} actions .*discrete for discrete ones"):
             head_class(name, kind)

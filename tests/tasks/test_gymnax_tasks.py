@@ -17,7 +17,12 @@ from upslope.tasks.actions import ContinuousActions
 
 KEY = jax.random.key(0)
 SMALL = MetaTrainingConfig(
-    tasks=2, steps_per_task=8, hidden=(8,), outer_updates=1, evaluation_tasks=2, posterior=NetworkPosterior(batch_size=4)
+    tasks=2,
+    steps_per_task=8,
+    hidden=(8,),
+    outer_updates=1,
+    evaluation_tasks=2,
+    posterior=NetworkPosterior(batch_size=4),
 )
 
 

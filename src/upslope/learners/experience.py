@@ -42,7 +42,9 @@ class Experience(eqx.Module):
         record = Record(example, None if shaping is None else jnp.zeros(()))
         return cls(family.reset(key, _alone(task)), Replay.empty(record, capacity))
 
-    def act(self, key: Key, family: AbstractFamily, task: Task, policy: AbstractPolicy, steps: int) -> tuple[Any, Transition]:
+    def act(
+        self, key: Key, family: AbstractFamily, task: Task, policy: AbstractPolicy, steps: int
+    ) -> tuple[Any, Transition]:
         """Acts for ``steps`` steps: the running environment after them, and the raw transitions ``[steps, ...]``."""
         policy = policy_with_table(family, task, policy, steps)
         running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
