@@ -2,20 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.meta_training.config import MetaTrainingConfig
+from upslope.equations.maml import meta_gradient
 from upslope.meta_training.posteriors import NetworkPosterior
 from upslope.networks.convolution import ON_GPUS, Precision
 from upslope.networks.convolution_forms import FORMS
 from upslope.networks.dueling import DuelingQ
-from upslope.tasks import clean_maps
-from upslope.types import Transition
+from upslope.types import Scalar, Transition
 
 SIZE, CHANNELS, ACTIONS, KERNELS, HIDDEN = (10, 10), 4, 4, 32, (128, 128)
 INNER_STEP_SIZE = 0.05
@@ -29,21 +28,25 @@ class Sizes:
     batch: int = 32
 
 
-def outer_gradient(sizes: Sizes, target: str, *, task_by_task: bool = True) -> Callable[..., Any]:
-    """Algorithm 1's, of the outer loss of all tasks."""
-    config = MetaTrainingConfig(
-        tasks=sizes.tasks,
-        hidden=HIDDEN,
-        activation="relu",
-        posterior=NetworkPosterior(
-            batch_size=sizes.batch,
-            inner_step_size=INNER_STEP_SIZE,
-            outer_target="stopped" if target == "stopped" else "kept",
-            target_decay=None,
-            task_by_task=task_by_task,
-        ),
+def outer_gradient(
+    target: str, *, inner_steps: int = 1, task_by_task: bool = True, **settings: Any
+) -> Callable[..., tuple[Scalar, DuelingQ]]:
+    """Algorithm 1's outer loss of all tasks and its gradient, a function of θ and of their samples.
+
+    Args:
+        target: of Eq. 7, "stopped" or "kept".
+        inner_steps: N.
+        task_by_task: one task after the other instead of side by side.
+        settings: others of `NetworkPosterior`.
+    """
+    posterior = NetworkPosterior(
+        inner_step_size=INNER_STEP_SIZE,
+        inner_steps=inner_steps,
+        outer_target="stopped" if target == "stopped" else "kept",
+        target_decay=None,
+        **settings,
     )
-    return MetaTraining(clean_maps(), config).outer_gradient
+    return partial(meta_gradient, posterior.adapt, posterior.distance, in_sequence=task_by_task)
 
 
 def network(form: str, precision: Precision = "float32") -> DuelingQ:

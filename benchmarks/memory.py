@@ -28,11 +28,10 @@ from benchmarks.harness import Row
 from upslope.learners.dqn import DQN, DQNConfig
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
-from upslope.meta_training.posteriors import NetworkPosterior
 from upslope.meta_training.posteriors.network import TaskBatch
 from upslope.run.compiling import set_up_devices
 from upslope.run.loop import broadcast
-from upslope.tasks import cartpoles, clean_maps
+from upslope.tasks import cartpoles
 
 ROOT = Path(__file__).parents[1]
 
@@ -167,24 +166,16 @@ def going(learner: MetaTraining, seeds: int) -> Callable[[], None]:
 
 def meta_gradient(case: Case) -> Callable[[], Any]:
     """The gradient of Eq. 7 on both sides, with convolutions, one task after the other."""
-    from benchmarks.convolutional_step import INNER_STEP_SIZE, Sizes, network, transitions
+    from benchmarks.convolutional_step import Sizes, network, outer_gradient, transitions
 
-    config = MetaTrainingConfig(
-        hidden=(128, 128),
-        activation="relu",
-        posterior=NetworkPosterior(
-            inner_step_size=INNER_STEP_SIZE,
-            inner_steps=case.size,
-            outer_target="stopped" if case.kind == DEFAULT else "kept",
-            first_order=case.kind == "first order",
-            rematerialise=case.kind == "rematerialised",
-            target_decay=None,
-            task_by_task=True,
-        ),
+    gradient = outer_gradient(
+        "stopped" if case.kind == DEFAULT else "kept",
+        inner_steps=case.size,
+        first_order=case.kind == "first order",
+        rematerialise=case.kind == "rematerialised",
     )
-    meta = MetaTraining(clean_maps(), config)
     theta, samples = network("patches"), TaskBatch(transitions(Sizes()), None)
-    step = jax.jit(lambda theta: meta.outer_gradient(theta, samples))
+    step = jax.jit(lambda theta: gradient(theta, samples))
     return lambda: jax.block_until_ready(step(theta))
 
 

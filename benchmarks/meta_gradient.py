@@ -158,7 +158,7 @@ def upslope_step(
     sizes: Sizes, form: str, target: str, precision: Precision = "float32", *, task_by_task: bool = True
 ) -> Callable[[], tuple[Any, DuelingQ]]:
     """Algorithm 1's own outer gradient on random transitions, TD targets made with it, by one forward pass of θ."""
-    step = jax.jit(outer_gradient(sizes, target, task_by_task=task_by_task))
+    step = jax.jit(outer_gradient(target, task_by_task=task_by_task))
     theta, samples = network(form, precision), TaskBatch(transitions(sizes), None)
     return lambda: jax.block_until_ready(step(theta, samples))
 
@@ -166,7 +166,7 @@ def upslope_step(
 def a_learner_on_each_core(sizes: Sizes, form: str, target: str, precision: Precision) -> Callable[[], Any]:
     """As many such gradients as there are devices, as several seeds are meta-trained: a device for each core."""
     mesh = jax.make_mesh((jax.device_count(),), ("cores",))
-    gradient = outer_gradient(sizes, target)
+    gradient = outer_gradient(target)
 
     def own(batch: Any) -> Any:
         return jax.tree.map(lambda leaf: leaf[None], gradient(*jax.tree.map(lambda leaf: leaf[0], batch)))
@@ -184,7 +184,7 @@ def a_learner_on_each_core(sizes: Sizes, form: str, target: str, precision: Prec
 def shared_by_the_cores(sizes: Sizes, form: str, target: str, precision: Precision) -> Callable[[], Any]:
     """One such gradient by all devices, each for its share of the tasks, as one learner alone is meta-trained."""
     mesh = jax.make_mesh((jax.device_count(),), ("cores",))
-    gradient = outer_gradient(sizes, target)
+    gradient = outer_gradient(target)
 
     def own(theta: DuelingQ, samples: TaskBatch) -> Any:
         return mean_of_all(gradient(theta, own_tasks(samples, "cores")), "cores")

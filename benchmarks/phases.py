@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationState
+from upslope.equations.maml import meta_gradient
 from upslope.learners.ddpg import DDPG, DDPGState, critic_loss
 from upslope.learners.dqn import DQN, DQNState, dqn_loss
 from upslope.learners.experience import Experience

@@ -19,6 +19,7 @@ from benchmarks.peers.plain_meta_training import Batch, PlainMetaTraining, outer
 from benchmarks.peers.torch_meta_gradient import peer_steps, torch_weights  # noqa: E402
 from benchmarks.peers.torch_networks import carry_over  # noqa: E402
 
+from support.meta import outer_gradient  # noqa: E402
 from upslope.envs.cartpole import CartPoleState  # noqa: E402
 from upslope.learners.dqn import DQNConfig, adam, dqn_loss  # noqa: E402
 from upslope.meta_training.algorithm1 import MetaTraining  # noqa: E402
@@ -60,7 +61,7 @@ def ours(state, batch, config=CONFIG):
     meta = MetaTraining(FAMILY, config)
     batch = jax.tree.map(jnp.asarray, batch)
     samples = TaskBatch(batch, jax.vmap(jax.vmap(state.target.value))(batch.next_obs))
-    loss, gradient = jax.jit(meta.outer_gradient)(state.theta, samples)
+    loss, gradient = jax.jit(lambda theta: outer_gradient(meta, theta, samples))(state.theta)
     return float(loss), gradient
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from support.probes import ACTIONS, DISCRETE, discrete_family, table_potential, truncation_only, two_steps
 from support.scores import Scores
-from upslope.learners.shaping import not_policy_invariant, potential_based
 from upslope.learners import lookups
 from upslope.learners.experience import Experience, greedy_return
 from upslope.learners.lookups import BestTable
 from upslope.learners.policies import EpsilonGreedy
+from upslope.learners.shaping import not_policy_invariant, potential_based
 from upslope.networks.q_network import QNetwork
 from upslope.tasks import cartpoles, obstacle_maps
 

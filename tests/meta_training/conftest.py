@@ -38,7 +38,7 @@ def tasks(maps):
 @pytest.fixture(scope="module")
 def samples(meta, state, tasks):
     """Everything that was seen of both maps."""
-    return jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, meta.behaviour(tasks, state.theta))())(tasks)
+    return jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta)())(tasks)
 
 
 @pytest.fixture(scope="module")

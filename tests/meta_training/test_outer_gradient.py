@@ -10,9 +10,9 @@ import pytest
 from support.batches import random_batch, small_network
 from support.comparing import assert_trees_close, assert_trees_identical, largest
 from support.differences import assert_gradient
-from support.meta import ALPHA, BATCH, TASKS, learner_by
+from support.meta import ALPHA, BATCH, TASKS, learner_by, outer_gradient, outer_loss
 from support.probes import discrete_family
-from upslope.equations.maml import adapt, meta_loss
+from upslope.equations.maml import adapt
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.posteriors.network import TaskBatch
 from upslope.meta_training.recipes import as_printed
@@ -29,13 +29,8 @@ def of_task(data, index):
     return jax.tree.map(lambda leaf: leaf[index], data)
 
 
-def outer_loss(meta, theta, data):
-    posterior = meta.config.posterior
-    return meta_loss(posterior.adapt, posterior.distance, theta, data)
-
-
-def outer_gradient(meta, theta, data):
-    return jax.jit(lambda net: meta.outer_gradient(net, data)[1])(theta)
+def gradient_of(meta, theta, data):
+    return jax.jit(lambda net: outer_gradient(meta, net, data)[1])(theta)
 
 
 @pytest.fixture
@@ -52,25 +47,25 @@ class TestKeptGraph:
     def test_with_constant_td_targets_it_is_the_exact_gradient(self, inner_steps):
         meta, theta, data = learner_by(outer_target="kept", inner_steps=inner_steps), small_network(0), samples()
         objective = jax.jit(lambda net: outer_loss(meta, net, data))
-        assert_gradient(objective, theta, outer_gradient(meta, theta, data), rtol=1e-5)
+        assert_gradient(objective, theta, gradient_of(meta, theta, data), rtol=1e-5)
 
     def test_with_full_td_gradients_it_is_the_exact_gradient(self):
         meta = learner_by(outer_target="kept", td_gradient="full", target_decay=None)
         theta, data = small_network(0), samples(fixed_targets=False)
         objective = jax.jit(lambda net: outer_loss(meta, net, data))
-        assert_gradient(objective, theta, outer_gradient(meta, theta, data), rtol=1e-5)
+        assert_gradient(objective, theta, gradient_of(meta, theta, data), rtol=1e-5)
 
     def test_rematerialised_it_is_the_same(self):
         """And other operations lead to it: what the inner steps made is made again."""
         theta, data = small_network(0), samples()
         kept, again = (learner_by(outer_target="kept", inner_steps=2, rematerialise=how) for how in (False, True))
-        assert_trees_close(outer_gradient(again, theta, data), outer_gradient(kept, theta, data), rtol=1e-9, atol=1e-12)
+        assert_trees_close(gradient_of(again, theta, data), gradient_of(kept, theta, data), rtol=1e-9, atol=1e-12)
         assert "remat" in str(jax.make_jaxpr(lambda net: outer_loss(again, net, data))(theta))
         assert "remat" not in str(jax.make_jaxpr(lambda net: outer_loss(kept, net, data))(theta))
 
     def test_first_order_takes_the_posterior_s_jacobian_for_the_identity(self):
         meta, theta, data = learner_by(outer_target="kept", first_order=True), small_network(0), samples()
-        ours = outer_gradient(meta, theta, data)
+        ours = gradient_of(meta, theta, data)
         expected = jax.jit(lambda net: mean_of_pull(meta, net, data, through_posterior=True))(theta)
         assert_trees_close(ours, expected, rtol=1e-9, atol=1e-12)
 
@@ -82,13 +77,13 @@ class TestStoppedTarget:
     @pytest.mark.parametrize("first_order", [False, True])
     def test_it_is_the_regression_s_gradient(self, first_order):
         meta, theta, data = learner_by(first_order=first_order), small_network(0), samples()
-        ours = outer_gradient(meta, theta, data)
+        ours = gradient_of(meta, theta, data)
         expected = jax.jit(lambda net: mean_of_pull(meta, net, data))(theta)
         assert_trees_close(ours, expected, rtol=1e-9, atol=1e-12)
 
     def test_it_differs_from_the_kept_one(self):
         theta, data = small_network(0), samples()
-        stopped, kept = (outer_gradient(learner_by(outer_target=how), theta, data) for how in ("stopped", "kept"))
+        stopped, kept = (gradient_of(learner_by(outer_target=how), theta, data) for how in ("stopped", "kept"))
         assert float(jnp.abs(stopped.value_head.bias - kept.value_head.bias).max()) > 1e-4
 
 
@@ -123,9 +118,8 @@ class TestAsPrinted:
         def both(state):
             _, task_key, collect_key, update_key = jax.random.split(state.key, 4)
             tasks = self.meta.family.sample_many(task_key, TASKS)
-            experience = self.meta.collect(collect_key, tasks, self.meta.behaviour(tasks, state.theta))()
-            keys = jax.random.split(jax.random.split(update_key, 1)[0], TASKS)
-            data = self.meta.config.posterior.draw(keys, experience, state.target)
+            experience = self.meta.collect(collect_key, tasks, state.theta)()
+            data = self.meta.draw(jax.random.split(update_key, 1)[0], experience, state.target)
             gradient = jax.grad(lambda net: outer_loss(self.meta, net, data))(state.theta)
             by_hand = jax.tree.map(lambda p, g: p - self.meta.config.outer_step_size * g, state.theta, gradient)
             return by_hand, self.meta.step(state)[0]
@@ -139,7 +133,7 @@ class TestAsPrinted:
     def test_its_gradient_is_exact(self, float64):
         theta, data = small_network(0), samples(fixed_targets=False)
         objective = jax.jit(lambda net: outer_loss(self.meta, net, data))
-        assert_gradient(objective, theta, outer_gradient(self.meta, theta, data), rtol=1e-5)
+        assert_gradient(objective, theta, gradient_of(self.meta, theta, data), rtol=1e-5)
 
 
 class TestTDLoss:
@@ -178,7 +172,7 @@ class TestTDLoss:
 @pytest.mark.parametrize("outer_target", ["kept", "stopped"])
 def test_task_by_task_makes_no_difference(outer_target):
     theta, data = small_network(0), samples()
-    together = learner_by(outer_target=outer_target).outer_gradient(theta, data)
-    in_turn = learner_by(outer_target=outer_target, task_by_task=True).outer_gradient(theta, data)
+    together = outer_gradient(learner_by(outer_target=outer_target), theta, data)
+    in_turn = outer_gradient(learner_by(outer_target=outer_target, task_by_task=True), theta, data)
     assert_trees_close(in_turn, together, rtol=1e-4)
     assert largest(together[1]) > 1e-4

@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import pytest
 
 from support.comparing import largest
-from support.meta import TINY
+from support.meta import TINY, outer_loss
 from support.probes import continuous_family, discrete_family
-from upslope.equations.maml import meta_loss
 from upslope.errors import UpslopeError
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
@@ -47,9 +46,7 @@ def test_an_iteration_of_algorithm_1(name):
         after, metrics = meta.update(state, gathered)
         keys = jax.random.split(jax.random.split(jax.random.split(state.key, 4)[3], 1)[0], TASKS)
         drawn = posterior.draw(keys, gathered, state.target)
-        loss, gradient = jax.value_and_grad(lambda net: meta_loss(posterior.adapt, posterior.distance, net, drawn))(
-            state.theta
-        )
+        loss, gradient = jax.value_and_grad(lambda net: outer_loss(meta, net, drawn))(state.theta)
         change, _ = meta.config.optimiser().update(gradient, state.optimiser)
         return after, metrics, loss, jax.tree.map(jnp.add, state.theta, change), gradient
 

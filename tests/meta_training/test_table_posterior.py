@@ -9,6 +9,7 @@ import numpy as np
 from support.batches import small_network
 from support.comparing import assert_trees_close, largest
 from support.finite import steps_of
+from support.meta import outer_gradient
 from upslope.equations.losses import td_loss
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.posteriors import TablePosterior
@@ -71,7 +72,9 @@ def test_multi_task_dqn_has_the_gradient_of_dqn(maps, state, samples):
 
     @jax.jit
     def both(theta):
-        _, ours = meta.outer_gradient(theta, config.posterior.draw(jax.random.split(jax.random.key(0), 1), one, target))
+        _, ours = outer_gradient(
+            meta, theta, config.posterior.draw(jax.random.split(jax.random.key(0), 1), one, target)
+        )
         steps, seen = jax.tree.map(lambda leaf: leaf[0], one.steps), one.observations[0]
         # Each pair once, as the table counts them.
         first = jnp.zeros((CELLS, ACTIONS), jnp.int32).at[steps.state, steps.action].set(jnp.arange(len(steps.state)))

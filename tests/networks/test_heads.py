@@ -28,12 +28,16 @@ class TestReadings:
         assert float(HEAD.highest(array(OUTPUTS[0]))) == 4.0
         np.testing.assert_array_equal(HEAD.highest(array(OUTPUTS)), [4.0, 3.0])
 
-    def test_the_best_action(self, array):
-        assert int(HEAD.best(array(OUTPUTS[0]))) == 1
-        np.testing.assert_array_equal(HEAD.best(array(OUTPUTS)), [1, 2])
+    def test_q_by_equation_6(self, array):
+        # Q = V + A − max A
+        np.testing.assert_allclose(HEAD.each_q(array(10.0), array(OUTPUTS[0])), [7.5, 10.0, 7.0])
+        values = array(np.array([10.0, 0.0]))
+        np.testing.assert_allclose(HEAD.each_q(values, array(OUTPUTS)), [[7.5, 10.0, 7.0], [-1.0, -4.0, 0.0]])
+        np.testing.assert_allclose(HEAD.q(values, array(OUTPUTS), 0), [7.5, -1.0])
 
-    def test_every_action(self, array):
-        np.testing.assert_array_equal(HEAD.each(array(OUTPUTS)), OUTPUTS)
+    def test_the_best_action(self, array):
+        assert int(HEAD.best(array(0.0), array(OUTPUTS[0]))) == 1
+        np.testing.assert_array_equal(HEAD.best(array(np.zeros(2)), array(OUTPUTS)), [1, 2])
 
 
 def test_random_actions_are_uniform():

@@ -21,6 +21,7 @@ from support.meta import TINY
 from support.probes import PLACES, choices, discrete_family
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, advantage_step_loss
 from upslope.adaptation.fine_tuning import FineTuning
+from upslope.equations.losses import dueling_q
 from upslope.errors import DamagedFileError
 from upslope.learners.lookups import dueling_table
 from upslope.meta_training.algorithm1 import MetaTraining
@@ -60,10 +61,17 @@ class LevelledHead(AbstractAdvantageHead):
     def highest(self, outputs):
         return self.each(outputs).max(-1)
 
-    def best(self, outputs):
-        return outputs[..., 1:].argmax(-1)
+    def q(self, value, outputs, action):
+        return self.each_q(value, outputs)[..., action]
+
+    def best(self, value, outputs):
+        return self.each_q(value, outputs).argmax(-1)
+
+    def each_q(self, value, outputs):
+        return dueling_q(value[..., None], self.each(outputs), self.highest(outputs)[..., None])
 
     def each(self, outputs):
+        """A(s, ·)."""
         return outputs[..., :1] + outputs[..., 1:]
 
     def random(self, key, count):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from support.probes import discrete_family
+from upslope.equations.maml import meta_gradient, meta_loss
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.posteriors import NetworkPosterior
@@ -22,3 +23,15 @@ def learner(**changes) -> MetaTraining:
 def learner_by(**changes) -> MetaTraining:
     """On the probe family, with some of the posterior's settings changed."""
     return MetaTraining(discrete_family(), TINY.with_posterior(**changes))
+
+
+def outer_loss(meta: MetaTraining, theta, samples):
+    """The mean distance of θ from the φ_i (Eq. 7)."""
+    posterior = meta.config.posterior
+    return meta_loss(posterior.adapt, posterior.distance, theta, samples)
+
+
+def outer_gradient(meta: MetaTraining, theta, samples):
+    """The outer loss and its gradient (Eq. 3), as Algorithm 1 computes them."""
+    posterior = meta.config.posterior
+    return meta_gradient(posterior.adapt, posterior.distance, theta, samples, in_sequence=meta.in_sequence)

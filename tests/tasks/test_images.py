@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
-from upslope.networks.numpy_networks import numpy_batch
 
 import upslope
 from support import host
