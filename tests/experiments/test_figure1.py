@@ -190,4 +190,4 @@ def test_summary_and_findings_quote_the_numbers(result: FigureResult) -> None:
     console.file.close()
     mean = result.panels["middle"].arms["prior"].returns.mean()
     assert f"{mean:.1f}" in text
-    assert any(f"is {mean:.0f} against" in sentence for sentence in findings(result))
+    assert any(f"is {mean:.0f}, compared with" in sentence for sentence in findings(result))

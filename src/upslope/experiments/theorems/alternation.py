@@ -48,18 +48,20 @@ def alternate(mdp: TabularMDP, tables: Tables, ratio: float | Array) -> Tables:
     """One step of Eq. 8 in expectation over the outcomes, with Φ = V, and one of Eq. 9, ``ratio`` times as long."""
     states = mdp.acting
     shaped = shape_mdp(mdp, tables.value)
-    next_advantage = jax.lax.stop_gradient(tables.advantage.max(-1))[mdp.successors]
+    highest_next_advantage = jax.lax.stop_gradient(tables.advantage.max(-1))[mdp.successors]
 
     def advantage_objective(advantage: Float[Array, "states actions"]) -> Array:
         # The outcomes of a state and action are the last axis.
-        of_outcomes = advantage_loss(advantage[..., None], shaped.rewards, mdp.discounts, next_advantage)
+        of_outcomes = jnp.vectorize(advantage_loss)(
+            advantage[..., None], shaped.rewards, mdp.discounts, highest_next_advantage
+        )
         losses = jnp.sum(mdp.probabilities * of_outcomes, axis=-1)
         return jnp.sum(losses, where=states[:, None])
 
     advantage = descend(tables.advantage, jax.grad(advantage_objective)(tables.advantage), TABLE_STEP)
 
     def value_objective(value: Float[Array, "states"]) -> Array:
-        return jnp.sum(value_loss(value, advantage.max(-1)), where=states)
+        return jnp.sum(jax.vmap(value_loss)(value, advantage.max(-1)), where=states)
 
     return Tables(advantage, descend(tables.value, jax.grad(value_objective)(tables.value), ratio * TABLE_STEP))
 
