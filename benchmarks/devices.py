@@ -162,7 +162,7 @@ def bars(rows: dict[str, Row]) -> list[Bar]:
         named = {name.split(": ")[1]: row["median"] for name, row in rows.items() if job in name}
         gain = named["one core"] / named["two cores, a device each (what upslope does)"]
         best = named["one core"] / named["two processes of half as many"]
-        bound = f"the cores share memory and caches: two processes that know nothing of each other gain {best:.2f}"
+        bound = f"the cores share memory and caches: two independent processes gain {best:.2f}"
         found.append(Bar(f"{job}: two cores at least 1.5 × as fast as one", gain, 1.5, bound=bound))
     return found
 

@@ -200,7 +200,7 @@ def bars(rows: dict[str, Row], options: Options) -> list[Bar]:
             for level in LEVELS:
                 pair = [rows.get(f"{name}, {width:,}, {level}") for name in (ours, theirs)]
                 ratio = pair[0]["steps/s"] / pair[1]["steps/s"] if all(pair) else None
-                found.append(Bar(f"{ours} at {width:,} {level}: not behind {theirs}", ratio, 1.0, bound=bound))
+                found.append(Bar(f"{ours} at {width:,} {level}: at least as fast as {theirs}", ratio, 1.0, bound=bound))
     widest = options.widths[-1]
     nanoseconds = {
         name: 1e9 / rows[name]["steps/s"]
@@ -221,14 +221,14 @@ def _budget(one: float, all_cores: float, drawing: float, sync: float) -> str:
     return (
         f"SyncVectorEnv takes {number(sync)} ns a step, so the bar leaves {number(sync / 500)}; upslope takes "
         f"{number(one)} on one device, and {number(all_cores)} on a device for each core. About {number(drawing)} are "
-        "the random numbers of a reset, which every environment draws in every step and uses in one of some hundred "
+        "the random numbers of a reset, which every environment draws in every step and uses about once in a hundred "
         "(SyncVectorEnv draws at resets only). The physics wait for coordinates that lie side by side, [n, 4]: in "
         "arrays of their own they alone took 10 to 14 ns (an exploration)"
     )
 
 
 _PAIRS = (
-    ("CartPole, upslope", "CartPole, gymnax", "random numbers, which both draw for a reset in every step"),
+    ("CartPole, upslope", "CartPole, gymnax", "random numbers: both draw those of a reset in every step"),
     (
         "grid, upslope",
         WHOLE_MAP,

@@ -70,7 +70,7 @@ def bar(rows: dict[str, Row]) -> Bar:
     names = [f"upslope reproduce {figure} --quick ({STATES[0]})" for figure in ON_MAPS]
     total = sum(rows[name]["median"] for name in names) if all(name in rows for name in names) else None
     what = f"Quick forms of {', '.join(ON_MAPS)} together, each from an empty cache: at most {LIMIT} s"
-    return Bar(what, total, LIMIT, at_most=True, bound="running: the rows with a filled cache tell what is left of it")
+    return Bar(what, total, LIMIT, at_most=True, bound="running: see the rows with a filled cache")
 
 
 if __name__ == "__main__":

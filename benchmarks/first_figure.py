@@ -163,7 +163,7 @@ def second_bound(first: Row, second: Row) -> str:
     compiling, running = first["compiling"] / first[COMPUTING], first[COMPUTING] - first["compiling"]
     return (
         f"running: waiting for programs is {compiling:.0%} of the first run's compute time, and a cache can spare no "
-        f"more than that; the other {number(running)} s are the same work again. Of the second run's "
+        f"more than that; the other {number(running)} s repeat the same work. Of the second run's "
         f"{number(second[COMPUTING])} s {number(second['compiling'])} are tracing in Python and loading, which it does "
         "not spare"
     )

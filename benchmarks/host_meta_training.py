@@ -20,7 +20,7 @@ from upslope.run.loop import broadcast, run
 #: Gymnasium's own CartPole, and ours with the same physics, whose step costs a third of it.
 NAMES = ("CartPole-v1", "upslope/CartPole-v0")
 
-_ACTING = "choosing actions in NumPy and writing down what was seen, 3 ms an iteration; drawing and launching, 2 ms"
+_ACTING = "choosing actions in NumPy and recording transitions, 3 ms an iteration; drawing and launching, 2 ms"
 
 
 @dataclass(frozen=True)

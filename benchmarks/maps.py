@@ -65,7 +65,7 @@ def main(options: Options) -> None:
     alone, together = (row["learner-updates/s"] for row in rows.values() if "learner-updates/s" in row)
     bars = [
         Bar(
-            f"{learners} DQNs: per learner an update at most half as dear as one alone",
+            f"{learners} DQNs: an update costs at most half as much per learner as for one alone",
             alone / together,
             0.5,
             True,
@@ -77,7 +77,7 @@ def main(options: Options) -> None:
             rows[GENERATED]["first_call"],
             2,
             True,
-            f"compiling: {rows[GENERATED]['compiling']:.1f} s, of which a filled cache spares a part",
+            f"compiling: {rows[GENERATED]['compiling']:.1f} s, of which a filled cache saves a part",
         ),
     ]
     harness.write("maps", options, rows, bars=bars)

@@ -139,7 +139,7 @@ def pair_of_bars(which: str, name: str, own: dict[str, Row], peers: dict[str, Ro
         slower = "upslope is slower than it; " if ratio < 1 else ""
         bound = (
             f"{slower}{best} runs at {rate:.2f} of the matmul rate itself, so 2.5 × that is {2.5 * rate:.1f} times the "
-            "rate, where Winograd's form has multiplications for 1.9 times"
+            "rate, while Winograd's form needs few enough multiplications for 1.9 times"
         )
         found.append(Bar(f"{which} ({form}): at least 2.5 × the faster of PyTorch's", ratio, 2.5, bound=bound))
     return found
@@ -147,7 +147,7 @@ def pair_of_bars(which: str, name: str, own: dict[str, Row], peers: dict[str, Ro
 
 EACH_CORE, SHARED, SHARE = "a learner on each core", "its tasks shared by the cores", "share of the product's rate"
 
-_NARROW = "the products are narrow (32 columns), where a matrix product reaches a part of a large one's rate"
+_NARROW = "the products are narrow (32 columns), where a matrix product reaches only a part of the rate of a large one"
 _MEMORY: dict[str, str] = dict.fromkeys(FORMS, f"memory, likely, and {_NARROW}") | {
     "patches": f"memory: a layer's patches are nine times its input and written and read for each product; {_NARROW}",
     "winograd": f"memory: the sums before and after the products, which are half as many as counted here; {_NARROW}",

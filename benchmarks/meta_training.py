@@ -155,7 +155,7 @@ def bars(rows: dict[str, Row]) -> list[Bar]:
     with_best = f" (the fastest: {best.removeprefix('PyTorch, ')})" if best else ""
     return [
         Bar("At least 100 × the plain one after compiling, one seed", _over(plain, steady), 100, bound=_STEPS),
-        Bar("The same, a seed of many at once", _over(plain, many), 100, bound=_WORK),
+        Bar("The same, per seed, many seeds at once", _over(plain, many), 100, bound=_WORK),
         Bar("At least 15 × with a cold compile", _over(plain, once), 15, bound=_compiling(rows[COLD], plain, 15)),
         Bar("At least 50 × with a filled cache", _over(plain, warm), 50, bound=_compiling(rows[WARM], plain, 50)),
         Bar(f"At least 5 × the careful one{with_best}, one seed", _over(careful, steady), 5, bound=_STEPS),
@@ -163,7 +163,7 @@ def bars(rows: dict[str, Row]) -> list[Bar]:
 
 
 _STEPS = (
-    "arithmetic and small kernels: by the profile, half of an iteration are 4 gradients of 640 transitions, tanh "
+    "arithmetic and small kernels: by the profile, half of an iteration goes into 4 gradients of 640 transitions, tanh "
     "included, and a good third is collecting, 200 steps after one another of ten poles each. How much of either is "
     "launching kernels is not measured"
 )
@@ -177,7 +177,7 @@ def _compiling(row: Row, plain: float | None, needed: float) -> str:
     return (
         f"of {number(row['median'])} s a run{allowed}, {number(row[WAITED])} are waiting for programs; tracing and "
         f"lowering them in Python, which the cache does not keep, take {number(python)}, compiling or loading "
-        f"{number(backend)} (each in whatever thread)"
+        f"{number(backend)} (in any thread)"
     )
 
 

@@ -1,4 +1,4 @@
-"""The plots of ``docs/performance.md``, drawn from the benchmarks' results."""
+"""The plots of ``docs/performance/``, drawn from the benchmarks' results."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,15 +18,15 @@ _FAR_APART = 50
 
 
 def pictures(found: dict[str, Any]) -> dict[str, str]:
-    """The pictures' paths from the page, by benchmark."""
-    return {name: f"performance/{name}.png" for name in _DRAWN if name in found}
+    """The pictures' paths from the pages, by benchmark."""
+    return {name: f"{name}.png" for name in _DRAWN if name in found}
 
 
-def draw_all(found: dict[str, Any], docs: Path) -> None:
-    """Draws what can be drawn into ``docs/performance/``."""
+def draw_all(found: dict[str, Any], folder: Path) -> None:
+    """Draws the benchmarks that have a plot."""
     for name, path in pictures(found).items():
         figure = _DRAWN[name](found[name])
-        figure.savefig(docs / path, dpi=90, bbox_inches="tight", metadata={"Software": None})
+        figure.savefig(folder / path, dpi=90, bbox_inches="tight", metadata={"Software": None})
         plt.close(figure)
 
 

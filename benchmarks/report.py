@@ -1,10 +1,10 @@
-"""Writes ``docs/performance.md`` and its plots from the results of all benchmarks: ``python -m benchmarks.report``."""
+"""Writes ``docs/performance.md``, a page per benchmark and their plots: ``python -m benchmarks.report``."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import tyro
 
@@ -14,28 +14,50 @@ from benchmarks.harness import RESULTS, cells_of, counted, number
 ROOT = Path(__file__).parents[1]
 NOTES = Path(__file__).parent / "notes"
 
-#: Sections in their order: the benchmark, its title, what it is run with, and how long that takes on two quiet cores.
+
+class Section(NamedTuple):
+    """One benchmark.
+
+    Attributes:
+        name: its module.
+        title: of its page.
+        minutes: how long it takes on two quiet cores.
+        arguments: that it is run with.
+    """
+
+    name: str
+    title: str
+    minutes: int
+    arguments: str = ""
+
+    @property
+    def command(self) -> str:
+        return f"python -m benchmarks.{self.name}{self.arguments}"
+
+
 SECTIONS = (
-    ("first_figure", "From nothing to the first figure", " --clone", "10 minutes"),
-    ("figures", "Quick forms of the figures", "", "15 minutes"),
-    ("meta_training", "Algorithm 1 against PyTorch", "", "9 minutes"),
-    ("shaping", "DQN learners against Stable-Baselines3, SBX and CleanRL's manner", "", "5 minutes"),
-    ("environments", "Environments against gymnax and Gymnasium", "", "7 minutes"),
-    ("wrapper", "The wrapper, a step", "", "1 minute"),
-    ("meta_gradient", "The convolutional meta-gradient", "", "5 minutes"),
-    ("scaling", "How time grows", "", "6 minutes"),
-    ("memory", "How memory grows", "", "18 minutes"),
-    ("devices", "Two cores against one", "", "3 minutes"),
-    ("profile", "Where the time goes", "", "4 minutes"),
-    ("maps", "Grid games", "", "2 minutes"),
-    ("host_meta_training", "Meta-training on Gymnasium environments", "", "3 minutes"),
-    ("checkpoints", "Checkpoints", "", "5 minutes"),
+    Section("first_figure", "From a clone to the first figure", 10, " --clone"),
+    Section("figures", "Quick forms of the figures", 15),
+    Section("meta_training", "Algorithm 1 compared with PyTorch", 9),
+    Section("shaping", "DQN compared with Stable-Baselines3, SBX and CleanRL's style", 5),
+    Section("environments", "Environments compared with gymnax and Gymnasium", 7),
+    Section("wrapper", "One step of the wrapper", 1),
+    Section("meta_gradient", "The convolutional meta-gradient", 5),
+    Section("scaling", "How time grows", 6),
+    Section("memory", "How memory grows", 18),
+    Section("devices", "Two cores compared with one", 3),
+    Section("profile", "Where the time goes", 4),
+    Section("maps", "Grid games", 2),
+    Section("host_meta_training", "Meta-training on Gymnasium environments", 3),
+    Section("checkpoints", "Checkpoints", 5),
 )
+
+_WRITTEN = "<!-- Written by `python -m benchmarks.report`; edit benchmarks/notes instead. -->"
 
 
 @dataclass(frozen=True)
 class Options:
-    """Where from and where to.
+    """Input and output folders.
 
     Attributes:
         results: folder of the JSON files.
@@ -47,76 +69,86 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Writes the page."""
-    found = results(options.results)
+    """Writes all pages and plots."""
+    measured = results(options.results)
     (options.docs / "performance").mkdir(parents=True, exist_ok=True)
-    plots.draw_all(found, options.docs)
-    (options.docs / "performance.md").write_text(page(found), encoding="utf-8")
-    print(f"{len(found)} of {len(SECTIONS)} benchmarks written to {options.docs / 'performance.md'}.")
+    plots.draw_all(measured, options.docs / "performance")
+    for path, text in pages(measured).items():
+        (options.docs / path).write_text(text, encoding="utf-8")
+    print(f"{len(measured)} of {len(SECTIONS)} benchmarks written to {options.docs / 'performance.md'}.")
 
 
 def results(folder: Path) -> dict[str, Any]:
     """The contents of the JSON files, by benchmark."""
-    files = {name: folder / f"{name}.json" for name, *_ in SECTIONS}
+    files = {section.name: folder / f"{section.name}.json" for section in SECTIONS}
     return {name: json.loads(path.read_text(encoding="utf-8")) for name, path in files.items() if path.exists()}
 
 
-def page(found: dict[str, Any]) -> str:
-    """The whole page from the contents of the JSON files."""
-    pictures = plots.pictures(found)
-    parts = [
-        "# How long it takes",
-        "<!-- Written by `python -m benchmarks.report`; edit benchmarks/notes, not this. -->",
-        (NOTES / "introduction.md").read_text(encoding="utf-8").strip(),
-        machines(found),
-        "## The bars",
-        bars_table(found),
-    ]
-    for name, title, arguments, minutes in SECTIONS:
-        parts += [f"## {title}", *section(name, arguments, minutes, found.get(name), pictures.get(name))]
-    parts.append((NOTES / "tried.md").read_text(encoding="utf-8").strip())
-    return "\n\n".join(parts) + "\n"
+def pages(measured: dict[str, Any]) -> dict[str, str]:
+    """The text of every page, by its path from ``docs/``."""
+    texts = {"performance.md": overview(measured)}
+    texts["performance/tried.md"] = _joined(["# What was tried", _WRITTEN, _note("tried")])
+    pictures = plots.pictures(measured)
+    for section in SECTIONS:
+        parts = page(section, measured.get(section.name), pictures.get(section.name))
+        texts[f"performance/{section.name}.md"] = _joined(parts)
+    return texts
 
 
-def section(name: str, arguments: str, minutes: str, content: Any, picture: str | None) -> Iterable[str]:
-    """What a benchmark is, what it found, and how to repeat it."""
-    notes = NOTES / f"{name}.md"
-    if notes.exists():
-        yield notes.read_text(encoding="utf-8").strip()
-    yield f"`python -m benchmarks.{name}{arguments}`, about {minutes} on two quiet cores."
+def overview(measured: dict[str, Any]) -> str:
+    """The first page: what each benchmark asks, and how many of its bars are met."""
+    body = []
+    for section in SECTIONS:
+        content = measured.get(section.name)
+        body.append([f"[{section.title}](performance/{section.name}.md)", _verdicts(content), _day(content)])
+    table = markdown(["benchmark", "bars", "measured on"], body, words=("bars", "measured on"))
+    return _joined(["# Performance", _WRITTEN, _note("introduction"), table, _note("more")])
+
+
+def _verdicts(content: Any) -> str:
+    if content is None:
+        return "not measured yet"
+    bars = content["bars"]
+    met = sum(bar["verdict"] == "met" for bar in bars)
+    return f"{met} of {len(bars)} met" if bars else "none set"
+
+
+def _day(content: Any) -> str:
+    return "" if content is None else content["written"][:10]
+
+
+def page(section: Section, content: Any, picture: str | None) -> Iterator[str]:
+    """One benchmark: its notes, its command, its numbers and its bars."""
+    yield f"# {section.title}"
+    yield _WRITTEN
+    yield _note(section.name)
+    yield f"`{section.command}` takes about {counted(section.minutes, 'minute')} on two quiet cores."
     if content is None:
         yield "Not measured yet."
         return
-    heads, body = cells_of(content["rows"], content["unit"])
-    yield markdown(heads, body)
+    yield markdown(*cells_of(content["rows"], content["unit"]))
     if picture:
-        yield f"![{name}]({picture})"
-    for extra in _EXTRAS.get(name, ()):
+        yield f"![{section.title}]({picture})"
+    for extra in _EXTRAS.get(section.name, ()):
         if content.get(extra):
             yield extra_table(extra, content[extra])
     if content["bars"]:
-        yield bars_table({name: content})
-    load = content["hardware"].get("load")
-    written, repeats = content["written"][:16].replace("T", " "), content["settings"]["repeats"]
-    at_the_end = f", load {load[0]:.1f} at the end" if load else ""
-    commit = content["versions"].get("commit", "")
-    made = f" at commit {commit[:10]}{commit[40:]}" if commit else ""
-    yield f"Measured {written} UTC{made}, {counted(repeats, 'repeat')} in turns{at_the_end}."
+        yield "## Bars"
+        yield bars_table(content["bars"])
+    yield origin(content)
 
 
 _EXTRAS = {"meta_training": ("curves",), "scaling": ("fits",)}
 
 
-def bars_table(found: dict[str, Any]) -> str:
-    """Every bar, what was measured, and what bounds it where it is missed."""
+def bars_table(bars: Iterable[dict[str, Any]]) -> str:
+    """Every bar, the measurement, and what limits it where it is missed or met by a narrow margin."""
     body = []
-    for content in found.values():
-        for bar in content["bars"]:
-            measured = "" if bar["measured"] is None else number(bar["measured"])
-            told = bar["verdict"].startswith("missed") or bar.get("close", False)
-            bound = bar["bound"] if told else ""
-            body.append([bar["what"], measured, bar["verdict"], bound])
-    return markdown(["bar", "measured", "", "what bounds it"], body) if body else "None was measured yet."
+    for bar in bars:
+        measured = "" if bar["measured"] is None else number(bar["measured"])
+        needs_reason = bar["verdict"].startswith("missed") or bar.get("close", False)
+        body.append([bar["what"], measured, bar["verdict"], bar["bound"] if needs_reason else ""])
+    return markdown(["bar", "measured", "verdict", "what limits it"], body, words=("verdict", "what limits it"))
 
 
 def extra_table(title: str, rows: dict[str, dict[str, Any]]) -> str:
@@ -132,32 +164,39 @@ def _cell(value: Any) -> str:
     return number(value)
 
 
-def machines(found: dict[str, Any]) -> str:
-    """Hardware and versions, each different one once."""
-    lines = {}
-    for name, content in found.items():
-        hardware, versions = content["hardware"], content["versions"]
-        exactly = [f"{what} {hardware[key]}" for what, key in _EXACTLY.items() if key in hardware]
-        processor = hardware["processor"] + (f" ({', '.join(exactly)})" if exactly else "")
-        memory = f", {hardware['memory, GiB']:g} GiB" if "memory, GiB" in hardware else ""
-        packages = ", ".join(f"{package} {version}" for package, version in versions.items() if package != "commit")
-        said = f"{processor}, {hardware['cores']} cores{memory}, {hardware['system']}; {packages}"
-        lines.setdefault(said, []).append(name)
-    if len(lines) == 1:
-        return f"Measured on: {next(iter(lines))}."
-    return "\n".join(f"- {', '.join(names)}: {said}." for said, names in lines.items())
+def origin(content: Any) -> str:
+    """When, how often, at which commit and on what a benchmark was measured."""
+    hardware, versions = content["hardware"], content["versions"]
+    commit, load = versions.get("commit", ""), hardware.get("load")
+    at_commit = f" at commit {commit[:10]}{commit[40:]}" if commit else ""
+    at_load = f", load {load[0]:.1f} at the end" if load else ""
+    exactly = [f"{what} {hardware[key]}" for what, key in _EXACTLY.items() if key in hardware]
+    processor = hardware["processor"] + (f" ({', '.join(exactly)})" if exactly else "")
+    memory = f", {hardware['memory, GiB']:g} GiB" if "memory, GiB" in hardware else ""
+    packages = ", ".join(f"{package} {version}" for package, version in versions.items() if package != "commit")
+    return (
+        f"Measured {content['written'][:16].replace('T', ' ')} UTC{at_commit}, "
+        f"{counted(content['settings']['repeats'], 'repeat')} in turns{at_load}, on {processor}, "
+        f"{hardware['cores']} cores{memory}, {hardware['system']}; {packages}."
+    )
 
 
 _EXACTLY = {"family": "processor's family", "model": "processor's model"}
 
 
-def markdown(heads: list[str], body: list[list[str]]) -> str:
-    """A table, numbers on the right."""
-    lines = [heads, ["---", *(f"---{'' if head in _WORDS else ':'}" for head in heads[1:])], *body]
+def markdown(heads: list[str], body: list[list[str]], words: tuple[str, ...] = ()) -> str:
+    """A table; numbers are aligned right, the first column and those named in ``words`` left."""
+    lines = [heads, ["---", *("---" if head in words else "---:" for head in heads[1:])], *body]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-_WORDS = ("", "what bounds it")
+def _note(name: str) -> str:
+    return (NOTES / f"{name}.md").read_text(encoding="utf-8").strip()
+
+
+def _joined(parts: Iterable[str]) -> str:
+    return "\n\n".join(parts) + "\n"
+
 
 if __name__ == "__main__":
     main(tyro.cli(Options))

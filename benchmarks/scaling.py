@@ -127,8 +127,8 @@ def bars(fits: dict[str, dict[str, float]]) -> list[Bar]:
 
 
 _WHY = {
-    "tasks": "memory, likely: the replays and gradients of many tasks need more than the caches hold",
-    "seeds": "memory, likely: states and replays of many seeds need more than the caches hold",
+    "tasks": "probably memory: the replays and gradients of many tasks need more than the caches hold",
+    "seeds": "probably memory: states and replays of many seeds need more than the caches hold",
     "inner steps": "not known",
 }
 

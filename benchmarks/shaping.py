@@ -187,7 +187,7 @@ def bars(rows: dict[str, Row]) -> list[Bar]:
         others = [rows[f"{name}, {how}"][LAST] for name in (SB3, SBX) if f"{name}, {how}" in rows]
         if own and others:
             share = own[LAST] / float(np.mean(others))
-            found.append(Bar(f"{how.capitalize()}: reached return at least 0.9 of those two's mean", share, 0.9))
+            found.append(Bar(f"{how.capitalize()}: reached return at least 0.9 of the mean of those two", share, 0.9))
     return found
 
 

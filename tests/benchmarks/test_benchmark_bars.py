@@ -15,6 +15,7 @@ def test_seconds_within_spans_count_once():
     assert covered([(0, 4), (1, 2), (3, 5), (7, 8)]) == 6
 
 
+@pytest.mark.slow
 def test_a_job_that_forgets_its_programs_compiles_each_time():
     settings = jax.config.jax_compilation_cache_dir
     program = jax.jit(lambda x: jnp.sin(x) + 1)

@@ -30,6 +30,8 @@ from upslope.networks.q_network import QNetwork  # noqa: E402
 from upslope.tasks import cartpoles  # noqa: E402
 from upslope.types import Transition  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 CONFIG = MetaTrainingConfig(
     tasks=3, steps_per_task=20, iterations=5, posterior=NetworkPosterior(batch_size=8, inner_step_size=0.1)
 )

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -14,7 +15,7 @@ from benchmarks import harness, report
 
 
 class TestTiming:
-    def test_parts_take_turns_and_the_first_call_is_told_apart(self):
+    def test_parts_take_turns_and_the_first_call_is_reported_separately(self):
         calls = []
         parts = {name: Part(lambda name=name: calls.append(name), {"things": 6}) for name in "ab"}
         rows = time_in_turns(parts, 3)
@@ -22,11 +23,11 @@ class TestTiming:
         assert len(rows["a"]["seconds"]) == 3
         assert rows["a"]["things/s"] == pytest.approx(6 / rows["a"]["median"])
 
-    def test_after_each_turn_it_tells_how_many_calls_all_parts_have_had(self):
-        calls, told = [], []
+    def test_after_each_turn_it_reports_how_many_calls_each_part_has_had(self):
+        calls, reported = [], []
         parts = {name: Part(lambda name=name: calls.append(name)) for name in "ab"}
-        time_in_turns(parts, 2, lambda count: told.append((count, len(calls))))
-        assert told == [(1, 2), (2, 4), (3, 6)]
+        time_in_turns(parts, 2, lambda count: reported.append((count, len(calls))))
+        assert reported == [(1, 2), (2, 4), (3, 6)]
 
     def test_it_measures_wall_clock_seconds(self):
         row = time_in_turns({"nap": Part(lambda: time.sleep(0.02))}, 2)["nap"]
@@ -60,9 +61,9 @@ class TestBars:
         assert Bar("", measured, 100, at_most).verdict == verdict
 
 
-def test_the_bound_of_a_bar_that_is_met_within_the_noise_is_told():
+def test_what_limits_a_bar_that_is_met_within_the_noise_is_reported():
     bars = [Bar("near", 1.05, 1.1, True, "the caches", close=True)._asdict(), Bar("far", 2, 1, bound="rain")._asdict()]
-    page = report.bars_table({"one": {"bars": [bar | {"verdict": "met"} for bar in bars]}})
+    page = report.bars_table([bar | {"verdict": "met"} for bar in bars])
     assert "| near | 1.05 | met | the caches |" in page
     assert "| far | 2.00 | met |  |" in page
 
@@ -105,18 +106,35 @@ def test_results_say_what_they_were_made_with_and_quick_ones_stay_apart(quick, t
     assert content["hardware"]["cores"] >= 1
     assert "devices" not in content["hardware"]
     assert len(content["versions"].get("commit", 40 * "0").split(",")[0]) == 40
-    page = report.page(report.results(path.parent))
-    assert "| a | 2.00 | 1.00 to 9.00 |" in page
-    assert "| low | 2.00 | met |  |" in page
-    assert page.count("Not measured yet.") == len(report.SECTIONS) - 1
+    pages = report.pages(report.results(path.parent))
+    assert "| a | 2.00 | 1.00 to 9.00 |" in pages["performance/maps.md"]
+    everything = "".join(pages.values())
+    assert everything.count("| low | 2.00 | met |  |") == 1
+    assert everything.count("Not measured yet.") == len(report.SECTIONS) - 1
+    assert "1 of 1 met" in pages["performance.md"]
 
 
-def test_the_page_is_what_the_results_say():
+DOCS = report.ROOT / "docs"
+PAGES = report.pages(report.results(harness.RESULTS))
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_a_page_is_generated_from_the_results(path):
     """Run `python -m benchmarks.report` after a benchmark, or after a change to benchmarks/notes."""
-    committed = (report.ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
-    assert committed == report.page(report.results(harness.RESULTS))
+    assert (DOCS / path).read_text(encoding="utf-8") == PAGES[path]
 
 
-def test_every_benchmark_has_a_section_with_notes():
-    written = {path.stem for path in report.NOTES.glob("*.md")} - {"introduction", "tried"}
-    assert written == {name for name, *_ in report.SECTIONS}
+def test_there_are_no_other_pages_and_no_dead_links():
+    assert {f"performance/{page.name}" for page in DOCS.glob("performance/*.md")} == PAGES.keys() - {"performance.md"}
+    for path, text in PAGES.items():
+        for target in re.findall(r"\]\(([^)#]+)\)", text):
+            assert ((DOCS / path).parent / target).is_file(), f"{path} links to {target}"
+
+
+def test_the_first_page_fits_on_a_screen():
+    assert PAGES["performance.md"].count("\n") <= 60
+
+
+def test_every_benchmark_has_notes():
+    written = {path.stem for path in report.NOTES.glob("*.md")} - {"introduction", "more", "tried"}
+    assert written == {section.name for section in report.SECTIONS}

@@ -23,7 +23,6 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
 def prior_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "prior"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("UPSLOPE_CACHE", str(tmp_path_factory.mktemp("cache")))
         call(patch, "meta-train", "cartpole", *SMALL, "--seed", "3", "--out", str(folder))
     return folder / "prior.safetensors"
 
@@ -37,21 +36,26 @@ def test_meta_train_saves_a_prior_with_its_provenance(prior_file: Path) -> None:
     assert list((prior_file.parent / "logs" / "meta-training").glob("events*"))
 
 
-def test_train_with_and_without_shaping(
+COUNTS = ["--updates", "10", "--every", "5", "--pole", "1.5"]
+
+
+def test_train_with_shaping(
     prior_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    counts = ["--updates", "10", "--every", "5", "--pole", "1.5"]
-    call(monkeypatch, "train", "dqn", "--prior", str(prior_file), *counts, "--out", str(tmp_path / "a"))
-    call(monkeypatch, "train", "ddpg", *counts, "--out", str(tmp_path / "b"))
-    out = " ".join(capsys.readouterr().out.split())
-    assert "dqn on a pole of 1.50 m" in out
-    assert "ddpg on a pole of 1.50 m, no shaping" in out
+    call(monkeypatch, "train", "dqn", "--prior", str(prior_file), *COUNTS, "--out", str(tmp_path / "a"))
+    assert "dqn on a pole of 1.50 m" in " ".join(capsys.readouterr().out.split())
     agent = Agent.load(tmp_path / "a" / "agent.safetensors")
     assert agent.act([0.0, 0.1, 0.05, -0.2]) in (0, 1)
     assert agent.trained_on.learner == "dqn"
-    assert Agent.load(tmp_path / "b" / "agent.safetensors").trained_on.learner == "ddpg"
     lines = [json.loads(line) for line in (tmp_path / "a" / "logs" / "DQN" / "metrics.jsonl").read_text().splitlines()]
     assert [line["update"] for line in lines] == [0, 5, 10]
+
+
+@pytest.mark.slow
+def test_train_without_shaping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    call(monkeypatch, "train", "ddpg", *COUNTS, "--out", str(tmp_path / "b"))
+    assert "ddpg on a pole of 1.50 m, no shaping" in " ".join(capsys.readouterr().out.split())
+    assert Agent.load(tmp_path / "b" / "agent.safetensors").trained_on.learner == "ddpg"
 
 
 def test_adapt_saves_a_posterior(prior_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

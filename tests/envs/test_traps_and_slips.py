@@ -16,6 +16,8 @@ from upslope.meta_training.recipes import for_grid_games
 from upslope.run.loop import broadcast, run
 from upslope.tasks import grid_games
 
+pytestmark = pytest.mark.slow
+
 FAMILY = grid_games((3, 4), traps=0.1, slip=0.2, max_steps=10, flat=True)
 MAPS = jax.tree.map(jnp.asarray, draw(FAMILY, 2))
 RECIPE = dataclasses.replace(

@@ -75,6 +75,7 @@ def test_the_level_is_the_mean_over_cells_that_count():
     np.testing.assert_allclose(mean_levels_on_maps(FAMILY, MAPS, NETWORKS), expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_learner_shaped_by_the_table_is_one_shaped_by_the_network():
     """F differs by rounding only; thirty updates may amplify this a little."""
     task = jax.tree.map(jnp.asarray, pick(MAPS, 0))

@@ -63,6 +63,7 @@ class TestDQN:
         index = list(probes.DISCRETE).index(name)
         assert outcome.reports["return"][index, -1] == probes.DISCRETE[name][2]
 
+    @pytest.mark.slow
     def test_a_learner_alone_begins_as_it_does_among_others(self, outcome):
         keys = jax.random.split(jax.random.key(0), len(probes.DISCRETE))
         for index in (0, 5):
@@ -105,6 +106,7 @@ class TestShapedDQN:
         assert outcome.reports["return"][:, -1].tolist() == [1, 1, 1, 3, 1, 1]
 
 
+@pytest.mark.slow
 class TestDDPG:
     """−(a − target)² in one step: the actor must find the target, and the critic −Φ there."""
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from support.plain_grids import pick
+from support.plain_grids import draw, pick
 from support.scores import Scores
 from upslope.envs.grid import read_map
 from upslope.learners.evaluation import exact_report, greedy_report
@@ -15,7 +15,11 @@ from upslope.planning.measures import episode_values
 from upslope.tasks import cartpoles, grid_games
 
 FAMILY = grid_games((4, 4), max_steps=12)
-MAPS = jax.tree.map(jnp.asarray, FAMILY.sample_many(jax.random.key(0), 30))
+
+
+@pytest.fixture(scope="module")
+def maps():
+    return jax.tree.map(jnp.asarray, draw(FAMILY, 30))
 
 
 def by_table(q):
@@ -23,21 +27,30 @@ def by_table(q):
     return Greedy(Scores(lambda obs: q[FAMILY.env.state_number(obs)]))
 
 
-def test_the_report_is_what_playing_shows():
-    tables = jax.random.normal(jax.random.key(1), (30, 16, 4))
-    exact = jax.vmap(lambda task, q: exact_report(FAMILY, task, by_table(q)))(MAPS, tables)
-    played = jax.vmap(
-        lambda task, q: FAMILY.returns(jax.random.key(2), jax.tree.map(lambda leaf: leaf[None], task), by_table(q))[0]
-    )(MAPS, tables)
+def test_the_report_is_what_playing_shows(maps):
+    tables = jnp.asarray(np.random.default_rng(1).normal(size=(30, 16, 4)), jnp.float32)
+
+    @jax.jit
+    @jax.vmap
+    def both(task, q):
+        alone = jax.tree.map(lambda leaf: leaf[None], task)
+        played = FAMILY.returns(jax.random.key(2), alone, by_table(q))[0]
+        return exact_report(FAMILY, task, by_table(q)), played
+
+    exact, played = both(maps, tables)
     np.testing.assert_array_equal(exact["return"], played)
     assert 0 < exact["return"].sum() < 30
 
 
-def test_the_optimal_policy_earns_the_optimal_value():
-    for index in range(5):
-        task = pick(MAPS, index)
+def test_the_optimal_policy_earns_the_optimal_value(maps):
+    @jax.jit
+    def plan(task):
         solution = value_iteration(tabulate(FAMILY.env, task, FAMILY.gamma))
-        report = exact_report(FAMILY, task, by_table(solution.action_value))
+        return solution, exact_report(FAMILY, task, by_table(solution.action_value))
+
+    for index in range(5):
+        task = pick(maps, index)
+        solution, report = plan(task)
         assert float(report["return"]) == 1.0
         assert float(report["discounted_return"]) == pytest.approx(float(solution.value[task.start]), rel=1e-5)
 

@@ -88,7 +88,7 @@ class TestTables:
 
     MAPS = obstacle_maps()
 
-    @pytest.mark.parametrize(("steps", "tables"), [(22, 1), (21, 0)])
+    @pytest.mark.parametrize(("steps", "tables"), [(22, 1), pytest.param(21, 0, marks=pytest.mark.slow)])
     def test_the_same_steps_as_the_network_itself_takes(self, steps, tables, monkeypatch):
         """64 states are cheaper together than 22 of them one by one."""
         task, network = self.MAPS.sample(jax.random.key(1)), QNetwork(jax.random.key(2), (8, 8, 4), 4, (8, 8))

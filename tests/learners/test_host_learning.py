@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import gymnasium as gym
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -53,7 +54,9 @@ def test_algorithm_1(prior):
     assert prior.to_numpy() != upslope.meta_train(FAMILY, seed=1, config=SMALL).to_numpy()
 
 
-@pytest.mark.parametrize("rule", [None, FineTuning()], ids=["algorithm 2", "MAML"])
+@pytest.mark.parametrize(
+    "rule", [None, pytest.param(FineTuning(), marks=pytest.mark.slow)], ids=["algorithm 2", "MAML"]
+)
 def test_adaptation(prior, rule):
     family = FAMILY
     config = AdaptationConfig(batch_size=8, steps_per_update=10, evaluation_episodes=1, replay_capacity=64)
@@ -75,6 +78,7 @@ def test_dqn(prior, shaped):
     np.testing.assert_array_equal(result.metrics["reward"][1:], 1.0)
 
 
+@pytest.mark.slow
 def test_ddpg(prior):
     family = poles(host.pushed_pole)
     config = DDPGConfig(hidden=(8,), batch_size=8, warmup_steps=16, replay_capacity=64, evaluation_episodes=1)
@@ -130,6 +134,7 @@ def test_in_compiled_environments_the_newest_network_acts():
     assert_trees_close(after.acting, after.theta)
 
 
+@pytest.mark.slow
 def test_workers_of_their_own_learn_the_same():
     family = GymnasiumTasks(
         host.length, host.short_pole, 0.98, name="cartpole", observation_scale=host.SCALE, mode="async"
@@ -182,24 +187,23 @@ def test_a_resumed_run_starts_new_episodes_and_warns(tmp_path):
 
 
 def test_trouble_on_the_host_is_named():
-    open_lamps = set()
+    open_poles = set()
 
-    class NaNs(host.Lamp):
+    class NaNs(gym.RewardWrapper):
         def reset(self, **settings):
-            open_lamps.add(self)
+            open_poles.add(self)
             return super().reset(**settings)
 
-        def step(self, action):
-            obs, _, *rest = super().step(action)
-            return obs, float("nan"), *rest
+        def reward(self, reward):
+            return float("nan")
 
         def close(self):
-            open_lamps.discard(self)
+            open_poles.discard(self)
 
-    family = GymnasiumTasks(lambda rng: 1.0, lambda task: NaNs(task, host.vectors()), 0.9, max_steps=5)
+    family = poles(lambda length: NaNs(host.short_pole(length)))  # the programs are those of the other tests
     with pytest.raises(UpslopeError, match="DQN: reward of learner 0 is not a finite number at update 1"):
         upslope.train(family, family.sample(jax.random.key(0)), updates=3, every=1, config=DQN_SMALL)
-    assert not open_lamps, "environments are closed whatever happens"
+    assert not open_poles, "environments are closed whatever happens"
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """Tables of a network's outputs in every state of a finite task: the same values as the network's."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,24 +16,27 @@ from upslope.learners.lookups import dueling_table
 from upslope.networks.dueling import DuelingQ, DuelingTable
 from upslope.tasks import cartpoles, grid_games
 
-MAPS = grid_games((4, 5), traps=0.1)
-TASK = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), draw(MAPS, 1))
-NETWORK = DuelingQ(jax.random.key(1), MAPS.observation_shape, 4, (8, 8))
+
+@functools.cache
+def case(flat=True):
+    """A family of maps, one of them and a network; convolutions, which read maps that are not flat, compile slowly."""
+    maps = grid_games((4, 5), traps=0.1, flat=flat)
+    task = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), draw(maps, 1))
+    return maps, task, DuelingQ(jax.random.key(1), maps.observation_shape, 4, (8, 8))
 
 
 def test_every_reading_in_every_state():
-    table = dueling_table(MAPS, TASK, NETWORK)
+    maps, task, network = case(flat=False)
+    table = dueling_table(maps, task, network)
     assert isinstance(table, DuelingTable)
-    for obs in MAPS.env.observe_all(TASK):
-        (value, outputs), (expected, expected_outputs) = table.heads(obs), NETWORK.heads(obs)
-        np.testing.assert_allclose(value, expected, rtol=1e-4, atol=1e-5)
-        np.testing.assert_allclose(outputs, expected_outputs, rtol=1e-4, atol=1e-5)
-        np.testing.assert_allclose(table.value(obs), NETWORK.value(obs), rtol=1e-4, atol=1e-5)
-        np.testing.assert_allclose(table(obs), NETWORK(obs), rtol=1e-4, atol=1e-5)
+    read = jax.jit(lambda of, obs: (*of.heads(obs), of.value(obs), of(obs), of.q(obs, 2), of.best(obs)))
+    for obs in maps.env.observe_all(task):
+        (value, outputs, *others, best), (*expected, expected_best) = read(table, obs), read(network, obs)
+        for found, right in zip((value, outputs, *others), expected, strict=True):
+            np.testing.assert_allclose(found, right, rtol=1e-4, atol=1e-5)
         np.testing.assert_allclose(table.highest_advantage(obs), outputs.max(), rtol=1e-6)
         np.testing.assert_allclose(table.advantage(obs, 2), outputs[2], rtol=1e-6)
-        np.testing.assert_allclose(table.q(obs, 2), NETWORK.q(obs, 2), rtol=1e-4, atol=1e-5)
-        assert int(table.best(obs)) == int(NETWORK.best(obs))
+        assert int(best) == int(expected_best)
 
 
 def test_where_states_can_t_be_listed_it_is_the_network_itself():
@@ -40,11 +45,19 @@ def test_where_states_can_t_be_listed_it_is_the_network_itself():
 
 
 @pytest.mark.parametrize(
-    "rule", [AdvantageHead(), FrozenPotential(), CentredTD()], ids=lambda rule: type(rule).__name__
+    ("rule", "flat"),
+    [
+        (AdvantageHead(), True),
+        pytest.param(AdvantageHead(), False, marks=pytest.mark.slow),
+        pytest.param(FrozenPotential(), False, marks=pytest.mark.slow),
+        pytest.param(CentredTD(), False, marks=pytest.mark.slow),
+    ],
+    ids=str,
 )
-def test_adapting_with_tables_is_adapting_with_the_network(rule, monkeypatch):
+def test_adapting_with_tables_is_adapting_with_the_network(rule, flat, monkeypatch):
+    maps, task, network = case(flat)
     config = AdaptationConfig(batch_size=8, replay_capacity=60, steps_per_update=20, epsilon=1.0)
-    learner = Adaptation(MAPS, TASK, NETWORK, jnp.asarray(0.01), rule, config)
+    learner = Adaptation(maps, task, network, jnp.asarray(0.01), rule, config)
 
     def adapted(kind):
         state = jax.jit(lambda key: learner.init(key))(jax.random.key(2))
@@ -58,4 +71,4 @@ def test_adapting_with_tables_is_adapting_with_the_network(rule, monkeypatch):
     monkeypatch.setattr(algorithm2, "dueling_table", lambda family, task, network: network)
     expected = adapted(DuelingQ)
     assert_trees_close(found, expected, rtol=1e-3, atol=1e-5)
-    assert largest(jax.tree.map(jnp.subtract, found[0], NETWORK)) > 1e-4
+    assert largest(jax.tree.map(jnp.subtract, found[0], network)) > 1e-4

@@ -43,7 +43,7 @@ def float64():
 class TestKeptGraph:
     """The literal reading of Eq. 7: gradients flow through φ(θ) as well."""
 
-    @pytest.mark.parametrize("inner_steps", [1, 2])
+    @pytest.mark.parametrize("inner_steps", [pytest.param(1, marks=pytest.mark.slow), 2])
     def test_with_constant_td_targets_it_is_the_exact_gradient(self, inner_steps):
         meta, theta, data = learner_by(outer_target="kept", inner_steps=inner_steps), small_network(0), samples()
         objective = jax.jit(lambda net: outer_loss(meta, net, data))
@@ -149,13 +149,13 @@ class TestTDLoss:
 
     def test_with_the_averaged_network_s_targets(self):
         own = of_task(samples(), 0)
-        loss = learner_by().config.posterior.td_loss(small_network(0), own)
+        loss = jax.jit(learner_by().config.posterior.td_loss)(small_network(0), own)
         assert float(loss) == pytest.approx(self.expected(own.next_value), rel=1e-5)
 
     def test_with_its_own_targets(self):
         own = of_task(samples(fixed_targets=False), 0)
         next_value = jax.vmap(small_network(0))(own.transitions.next_obs).max(axis=-1)
-        loss = learner_by().config.posterior.td_loss(small_network(0), own)
+        loss = jax.jit(learner_by().config.posterior.td_loss)(small_network(0), own)
         assert float(loss) == pytest.approx(self.expected(next_value), rel=1e-5)
 
     def test_semi_and_full_gradients_differ_only_with_own_targets(self):
@@ -163,7 +163,7 @@ class TestTDLoss:
         for fixed, differ in ((True, False), (False, True)):
             own = of_task(samples(fixed_targets=fixed), 0)
             semi, full = (
-                jax.grad(learner_by(td_gradient=kind).config.posterior.td_loss)(theta, own).value_head.bias
+                jax.jit(jax.grad(learner_by(td_gradient=kind).config.posterior.td_loss))(theta, own).value_head.bias
                 for kind in ("semi", "full")
             )
             assert bool(jnp.abs(semi - full).max() > 1e-3) is differ
@@ -172,7 +172,11 @@ class TestTDLoss:
 @pytest.mark.parametrize("outer_target", ["kept", "stopped"])
 def test_task_by_task_makes_no_difference(outer_target):
     theta, data = small_network(0), samples()
-    together = outer_gradient(learner_by(outer_target=outer_target), theta, data)
-    in_turn = outer_gradient(learner_by(outer_target=outer_target, task_by_task=True), theta, data)
+    together, in_turn = (
+        jax.jit(lambda net, by=learner_by(outer_target=outer_target, task_by_task=how): outer_gradient(by, net, data))(
+            theta
+        )
+        for how in (False, True)
+    )
     assert_trees_close(in_turn, together, rtol=1e-4)
     assert largest(together[1]) > 1e-4

@@ -7,6 +7,7 @@ import pytest
 
 from support.mdps import greedy_sets, random_mdp, solve
 from support.plain_grids import as_board, distances, draw, pick
+from support.planning import tabulate, value_iteration
 from upslope.envs.grid import GridGame, read_map
 from upslope.envs.grid_rules import DOWN, LEFT, RIGHT, UP
 from upslope.planning.exact import (
@@ -16,8 +17,6 @@ from upslope.planning.exact import (
     immediate_rewards,
     shape_mdp,
     solve_all,
-    tabulate,
-    value_iteration,
 )
 from upslope.tasks import grid_games
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from support.plain_grids import as_board, distances, draw, pick
+from support.planning import tabulate, value_iteration
 from upslope.envs.grid import GridGame, read_map
 from upslope.envs.grid_rules import RIGHT
 from upslope.planning.exact import (
@@ -15,8 +16,6 @@ from upslope.planning.exact import (
     evaluate_policy,
     shape_mdp,
     steps_to_reward,
-    tabulate,
-    value_iteration,
 )
 from upslope.planning.measures import truth, truths
 from upslope.tasks import grid_games

@@ -103,7 +103,13 @@ def _plain(leaf):
 
 
 class TestResuming:
-    @pytest.mark.parametrize("learner", LEARNERS.values(), ids=LEARNERS.keys())
+    @pytest.mark.parametrize(
+        "learner",
+        [
+            pytest.param(learner, id=name, marks=[pytest.mark.slow] * (name in ("Algorithm 2", "MAML", "DDPG")))
+            for name, learner in LEARNERS.items()
+        ],
+    )
     def test_every_learner_goes_on_bit_for_bit(self, tmp_path, learner):
         def go(session=None):
             return run(broadcast(learner, (3,)), KEYS, updates=5, every=2, session=session)

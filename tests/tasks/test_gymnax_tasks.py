@@ -138,7 +138,7 @@ class TestGymnax:
         [
             ("CartPole-v1", (4,), 2),
             pytest.param("Acrobot-v1", (6,), 3, marks=pytest.mark.slow),
-            ("MountainCar-v0", (2,), 3),
+            pytest.param("MountainCar-v0", (2,), 3, marks=pytest.mark.slow),
             ("Breakout-MinAtar", (10, 10, 4), 3),
             pytest.param("FrozenLake-misc", (16,), 4, marks=pytest.mark.slow),
         ],
@@ -231,6 +231,7 @@ class TestXMiniGrid:
 
         return upslope.gymnax_tasks(TimeStepEnvironment(env), rules, 0.95)
 
+    @pytest.mark.slow
     def test_tasks_end_where_their_goal_is_reached_or_time_is_up(self, family):
         assert (family.observation_shape, family.actions.count, family.max_steps) == ((5, 5, 2), 6, 25)
         batch = rollout(family, randomly(6), 200, tasks=8)

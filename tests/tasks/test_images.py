@@ -143,6 +143,7 @@ class TestLearners:
         np.testing.assert_array_equal(result.returns, 3.0)
         assert result.posterior.to_numpy() != prior.to_numpy()
 
+    @pytest.mark.slow
     def test_ddpg_by_convolutions(self):
         pushed = GymnasiumTasks(
             lambda rng: 1.0, lambda task: host.Lamp(task, SPACE, Box(-1, 1, (1,))), 0.9, max_steps=3

@@ -145,7 +145,9 @@ class TestClients:
     def test_its_own_checker_passes(self, name, prior):
         check_env(Single(gym.make(name), prior, 0.98))
 
-    @pytest.mark.parametrize("algorithm", ["DQN", "PPO", "SAC", "TD3", "DDPG"])
+    @pytest.mark.parametrize(
+        "algorithm", ["DQN", "SAC", *(pytest.param(name, marks=pytest.mark.slow) for name in ("PPO", "TD3", "DDPG"))]
+    )
     def test_learners_run_on_shaped_rewards_and_report_raw_returns(self, algorithm, prior):
         name = "upslope/CartPole-v0" if algorithm in ("DQN", "PPO") else "upslope/ContinuousCartPole-v0"
         env = Single(Monitor(gym.make(name, length=3.0)), prior, 0.98)

@@ -11,7 +11,6 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from tensorboardX import SummaryWriter
 
 from upslope.errors import NotSavedError
 
@@ -99,6 +98,8 @@ class EventLog:
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
             self._lines = (folder / "metrics.jsonl").open("w", encoding="utf-8")
+            from tensorboardX import SummaryWriter  # loads PyTorch where that is installed, which takes seconds
+
             self._events = SummaryWriter(str(folder))
 
     def record(self, update: int, returns: np.ndarray, metrics: dict[str, np.ndarray], *, at: float) -> None:
