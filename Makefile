@@ -8,7 +8,7 @@ TESTABLE := $(VENV)/.testable
 
 TIANSHOU := .venv-tianshou
 
-.PHONY: demo test test-slow reliability tianshou lint clean
+.PHONY: demo test test-slow check-all reliability tianshou lint clean
 
 demo: $(INSTALLED) ## set up, and reproduce Figure 1 into a new folder under runs/
 	$(BIN)/upslope reproduce fig1
@@ -18,6 +18,9 @@ test: $(TESTABLE) lint ## set up, and pass the fast tests
 
 test-slow: $(TESTABLE) ## the learning checks, with real training
 	$(BIN)/pytest -m slow
+
+check-all: $(TESTABLE) lint ## everything: all tests, all examples, Tianshou, Figure 1's quick form, reliability; about 1.5 hours
+	$(BIN)/python -m checks
 
 reliability: $(TESTABLE) ## kills, signals, damaged files, full disks; ten minutes
 	$(BIN)/python -m reliability
