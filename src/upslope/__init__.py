@@ -8,7 +8,7 @@ from upslope.envs.registration import register_environments
 
 if TYPE_CHECKING:
     from upslope.adaptation.algorithm2 import AdaptationConfig as AdaptationConfig
-    from upslope.adaptation.algorithm2 import AdvantageHead as AdvantageHead
+    from upslope.adaptation.algorithm2 import Algorithm2 as Algorithm2
     from upslope.adaptation.algorithm2 import UpdateRule as UpdateRule
     from upslope.adaptation.controls import CentredTD as CentredTD
     from upslope.adaptation.controls import FrozenPotential as FrozenPotential
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 # Names are imported when they are first used: a simulator process that only shapes rewards never imports JAX.
 _NAMES = {
-    "upslope.adaptation.algorithm2": ("AdaptationConfig", "AdvantageHead", "UpdateRule"),
+    "upslope.adaptation.algorithm2": ("AdaptationConfig", "Algorithm2", "UpdateRule"),
     "upslope.adaptation.controls": ("CentredTD", "FrozenPotential"),
     "upslope.adaptation.fine_tuning": ("FineTuning",),
     "upslope.api": ("adapt", "meta_train", "train"),

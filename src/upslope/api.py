@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from upslope.adaptation import rules
-from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, UpdateRule
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, Algorithm2, UpdateRule
 from upslope.errors import UpslopeError
 from upslope.learners import AbstractLearnerConfig
 from upslope.learners import suited_to as learner_suited_to
@@ -155,7 +155,7 @@ def adapt(
     _check_type("adapt", "config", config, AdaptationConfig)
     check_step_size(step_size)
     prior.check(family, acting=True)
-    learner = Adaptation(family, task, prior.network, jnp.asarray(step_size), rule or AdvantageHead(), config)
+    learner = Adaptation(family, task, prior.network, jnp.asarray(step_size), rule or Algorithm2(), config)
     outcome = _run_one(learner, seed, updates, 1, "adaptation", session, progress)
     return AdaptationResult(Prior(_final_state(outcome).phi, prior.trained_on), _curve(outcome, 0))
 

@@ -7,7 +7,7 @@ import pytest
 
 from support.batches import random_batch, small_network
 from support.comparing import assert_trees_close, assert_trees_identical, largest
-from upslope.adaptation.algorithm2 import AdvantageHead, advantage_step_loss, value_step_loss
+from upslope.adaptation.algorithm2 import Algorithm2, advantage_step_loss, value_step_loss
 from upslope.adaptation.controls import CentredTD, FrozenPotential, OneOf, centred_td_loss
 from upslope.adaptation.fine_tuning import FineTuning, fine_tuning_loss
 from upslope.equations.maml import descend
@@ -15,7 +15,7 @@ from upslope.equations.maml import descend
 STEP_SIZE = 0.05
 PRIOR, OTHER = small_network(0), small_network(1)
 BATCH = random_batch(2, leading=(12,))
-CENTRED, RAW = AdvantageHead(centred=True), AdvantageHead(centred=False)
+CENTRED, RAW = Algorithm2(centred=True), Algorithm2(centred=False)
 LEVEL = CENTRED.level(PRIOR)
 
 
@@ -135,7 +135,7 @@ class TestAlgorithm2:
         assert_trees_close(updated(CENTRED, OTHER), expected)
 
     def test_a_shorter_second_step_is_that_much_shorter(self):
-        tenth = updated(AdvantageHead(centred=True, value_step=0.1), OTHER)
+        tenth = updated(Algorithm2(centred=True, value_step=0.1), OTHER)
         between = after_equation_8(OTHER)
         shorter = descend(between, jax.grad(value_step_loss)(between, BATCH, LEVEL), 0.1 * STEP_SIZE)
         assert_trees_close(tenth, shorter)

@@ -8,7 +8,7 @@ import pytest
 from support import probes
 from support.batches import small_network
 from support.probes import GAMMA, PLACES, discrete_family, observe, table_potential
-from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, Algorithm2
 from upslope.adaptation.controls import CentredTD, FrozenPotential, OneOf
 from upslope.adaptation.fine_tuning import FineTuning
 from upslope.learners.ddpg import DDPG, DDPGConfig
@@ -179,7 +179,7 @@ PRIOR_VALUE, PRIOR_LEVEL = (
 Q = np.array(probes.DISCRETE["choices"][1])
 
 
-RULES = {"Algorithm 2": AdvantageHead(), "frozen": FrozenPotential(), "centred TD": CentredTD(), "MAML": FineTuning()}
+RULES = {"Algorithm 2": Algorithm2(), "frozen": FrozenPotential(), "centred TD": CentredTD(), "MAML": FineTuning()}
 
 
 class TestAdaptation:

@@ -10,7 +10,7 @@ import pytest
 from support.comparing import assert_trees_close, largest
 from support.plain_grids import draw
 from upslope.adaptation import algorithm2
-from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, Algorithm2
 from upslope.adaptation.controls import CentredTD, FrozenPotential
 from upslope.learners.lookups import dueling_table
 from upslope.networks.dueling import DuelingQ, DuelingTable
@@ -47,8 +47,8 @@ def test_where_states_can_t_be_listed_it_is_the_network_itself():
 @pytest.mark.parametrize(
     ("rule", "flat"),
     [
-        (AdvantageHead(), True),
-        pytest.param(AdvantageHead(), False, marks=pytest.mark.slow),
+        (Algorithm2(), True),
+        pytest.param(Algorithm2(), False, marks=pytest.mark.slow),
         pytest.param(FrozenPotential(), False, marks=pytest.mark.slow),
         pytest.param(CentredTD(), False, marks=pytest.mark.slow),
     ],

@@ -19,7 +19,7 @@ from support.batches import random_batch
 from support.comparing import assert_trees_identical, largest
 from support.meta import TINY
 from support.probes import PLACES, choices, discrete_family
-from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, advantage_step_loss
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, Algorithm2, advantage_step_loss
 from upslope.adaptation.fine_tuning import FineTuning
 from upslope.equations.losses import dueling_q
 from upslope.errors import DamagedFileError
@@ -171,7 +171,7 @@ class TestAlgorithm2:
     def test_equation_8_by_hand(self):
         """The level takes part in every step, each other output where its action was taken."""
         phi, prior = levelled(1, 3), levelled(0, 3)
-        level = AdvantageHead().level(prior)
+        level = Algorithm2().level(prior)
         a, next_a = (
             jax.vmap(lambda obs: phi.advantage_head.each(phi.heads(obs)[1]) - level(obs))(obs)
             for obs in (BATCH.obs, BATCH.next_obs)
@@ -187,7 +187,7 @@ class TestAlgorithm2:
     def test_it_adapts(self):
         prior = levelled(4)
         config = AdaptationConfig(batch_size=16, replay_capacity=200, steps_per_update=4, epsilon=0.5)
-        learner = Adaptation(FAMILY, choices(), prior, jnp.asarray(0.1), AdvantageHead(), config)
+        learner = Adaptation(FAMILY, choices(), prior, jnp.asarray(0.1), Algorithm2(), config)
         state, step = (
             jax.jit(lambda key: learner.init(key))(jax.random.key(0)),
             jax.jit(lambda state: learner.step(state)),

@@ -32,7 +32,7 @@ class UpdateRule(Protocol):
         ...
 
 
-class AdvantageHead(eqx.Module):
+class Algorithm2(eqx.Module):
     """Algorithm 2's two steps: A by Eq. 8 with the current potential, then V by Eq. 9.
 
     Attributes:
@@ -137,7 +137,7 @@ class Adaptation(AbstractTaskLearner):
     task: Task
     prior: DuelingQ
     step_size: Float[Array, "*batch"]
-    rule: UpdateRule = AdvantageHead()
+    rule: UpdateRule = Algorithm2()
     config: AdaptationConfig = eqx.field(static=True, default=AdaptationConfig())
 
     def init(self, key: Key) -> AdaptationState:

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from upslope.adaptation.algorithm2 import AdvantageHead, UpdateRule, advantage_step_loss
+from upslope.adaptation.algorithm2 import Algorithm2, UpdateRule, advantage_step_loss
 from upslope.equations.losses import dueling_q, td_loss
 from upslope.equations.maml import descend
 from upslope.networks.dueling import AbstractDueling, DuelingQ
@@ -16,7 +16,7 @@ class FrozenPotential(eqx.Module):
     """V frozen at the prior, two centred A steps: pure shaping. Tells what moving the potential adds."""
 
     def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
-        level = AdvantageHead(centred=True).level(prior)
+        level = Algorithm2(centred=True).level(prior)
         for _ in range(2):
             phi = descend(phi, jax.grad(advantage_step_loss)(phi, prior, batch, level), step_size)
         return phi

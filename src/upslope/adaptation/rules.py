@@ -2,15 +2,15 @@
 
 from collections.abc import Callable
 
-from upslope.adaptation.algorithm2 import AdaptationConfig, AdvantageHead, UpdateRule, for_maps
+from upslope.adaptation.algorithm2 import AdaptationConfig, Algorithm2, UpdateRule, for_maps
 from upslope.adaptation.controls import CentredTD, FrozenPotential
 from upslope.adaptation.fine_tuning import FineTuning
 from upslope.tasks.family import AbstractFamily
 
 #: By the name on the command line and in figures. A new rule is one class and one line here.
 RULES: dict[str, UpdateRule] = {
-    "algorithm2": AdvantageHead(centred=True),
-    "algorithm2_raw": AdvantageHead(centred=False),
+    "algorithm2": Algorithm2(centred=True),
+    "algorithm2_raw": Algorithm2(centred=False),
     "frozen_potential": FrozenPotential(),
     "td_centred": CentredTD(),
     "maml": FineTuning(steps=1),

@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple
 
-from upslope.adaptation.algorithm2 import AdaptationConfig, AdvantageHead, UpdateRule
+from upslope.adaptation.algorithm2 import AdaptationConfig, Algorithm2, UpdateRule
 from upslope.experiments.adaptation_panel import AdaptationPanel, adaptation_panel
 from upslope.experiments.keys import Purpose, key_for
 from upslope.experiments.maps.figures import full_grid_figure
@@ -58,7 +58,7 @@ def quick_step_ratio(config: StepRatioConfig) -> StepRatioConfig:
 
 def step_ratio(config: StepRatioConfig, session: Session | None = None) -> dict[str, Any]:
     """Adapts with every ratio at its own best step size, and returns the content of results.json."""
-    rules: dict[str, UpdateRule] = {f"{ratio:g}": AdvantageHead(value_step=ratio) for ratio in config.ratios}
+    rules: dict[str, UpdateRule] = {f"{ratio:g}": Algorithm2(value_step=ratio) for ratio in config.ratios}
     figure = full_grid_figure("obstacles")
     settings = {
         "poles": _Setting(
