@@ -1,97 +1,42 @@
-"""A second advantage head, defined here and registered in one line, goes through every algorithm and a file unchanged.
-
-It gives A(s, a) = b(s) + c_a(s): one output more than there are actions, so that nothing may take outputs for actions.
-By Eq. 6 the level b drops out of Q, so Algorithm 1 and MAML must learn what they learn with the discrete head.
-"""
+"""A second advantage head, registered in one line, goes through every algorithm and a file unchanged."""
 
 import dataclasses
-from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from jaxtyping import Array, Float
 
 from support.batches import random_batch
 from support.comparing import assert_trees_identical, largest
+from support.levelled import LevelledHead, levelled, plain
 from support.meta import TINY
+<<<<<<< HEAD
 from support.probes import PLACES, choices, discrete_family
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, Algorithm2, advantage_step_loss
+=======
+from support.probes import ACTIONS, PLACES, choices, discrete_family
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, advantage_step_loss
+>>>>>>> h-tests
 from upslope.adaptation.fine_tuning import FineTuning
-from upslope.equations.losses import dueling_q
 from upslope.errors import DamagedFileError
 from upslope.learners.lookups import dueling_table
 from upslope.meta_training.algorithm1 import MetaTraining
-from upslope.networks.dueling import DuelingQ
-from upslope.networks.heads import HEADS, AbstractAdvantageHead, DiscreteHead
+from upslope.networks.heads import HEADS
 from upslope.priors.numpy_potential import NumpyPotential
 from upslope.priors.prior import Prior, trained_on
 from upslope.priors.prior_file import read_prior_file
 from upslope.tasks import grid_games
 
-ACTIONS = 2
 FAMILY = discrete_family()
 OBS = jnp.eye(PLACES)
 BATCH = random_batch(3, leading=(12,))
 
 
-class LevelledHead(AbstractAdvantageHead):
-    """The level of a state, then one output for each action."""
-
-    name: ClassVar[str] = "levelled"
-    action_kind: ClassVar[str] = "discrete"
-
-    weight: Float[Array, "*batch units features"]
-    bias: Float[Array, "*batch units"]
-
-    @classmethod
-    def fresh(cls, key, features, actions):
-        layer: Any = eqx.nn.Linear(features, actions + 1, key=key)
-        return cls(layer.weight, layer.bias)
-
-    def __call__(self, features):
-        return self.weight @ features + self.bias
-
-    def advantage(self, outputs, action):
-        return outputs[..., 0] + outputs[..., 1 + action]
-
-    def highest(self, outputs):
-        return self.each(outputs).max(-1)
-
-    def q(self, value, outputs, action):
-        return self.each_q(value, outputs)[..., action]
-
-    def best(self, value, outputs):
-        return self.each_q(value, outputs).argmax(-1)
-
-    def each_q(self, value, outputs):
-        return dueling_q(value[..., None], self.each(outputs), self.highest(outputs)[..., None])
-
-    def each(self, outputs):
-        """A(s, ·)."""
-        return outputs[..., :1] + outputs[..., 1:]
-
-    def random(self, key, count):
-        return jax.random.randint(key, (count,), 0, self.bias.shape[-1] - 1)
-
-
 @pytest.fixture
 def registered(monkeypatch):
     monkeypatch.setitem(HEADS, LevelledHead.name, LevelledHead)
-
-
-def levelled(seed=0, inputs=PLACES, actions=ACTIONS) -> DuelingQ:
-    return DuelingQ(jax.random.key(seed), inputs, actions, (6, 5), (1.0,) * inputs, head=LevelledHead)
-
-
-def plain(network: DuelingQ) -> DuelingQ:
-    """The same Q(s, ·) and A(s, ·) with the discrete head."""
-    head = network.advantage_head
-    discrete = DiscreteHead(head.weight[:1] + head.weight[1:], head.bias[:1] + head.bias[1:])
-    return eqx.tree_at(lambda net: net.advantage_head, network, discrete)
 
 
 def rows(network, obs=OBS):

@@ -25,26 +25,26 @@ class MetaTrainingConfig:
     """Settings of Algorithm 1. Each difference from the paper is an option here, described in docs/deviations.md.
 
     Attributes:
-        iterations: meta-iterations.
-        tasks: tasks sampled in each iteration.
-        steps_per_task: environment steps in each task's (or each of its environments') fresh replay.
+        iterations: number of meta-iterations.
+        tasks: number of tasks sampled in each iteration.
+        steps_per_task: environment steps in each iteration, for each task (or each of its environments).
         hidden: widths of the hidden layers.
-        activation: of the hidden layers; the paper names none.
+        activation: activation of the hidden layers; the paper names none.
         head: name of the advantage head; None takes the one for the family's kind of action.
-        posterior: what of θ each task adapts, and how.
-        outer_step_size: β at the start.
+        posterior: what of the prior is adapted to each task, and how.
+        outer_step_size: β, the step size of θ, at the start.
         outer_step_size_end: β at the end; it falls linearly.
-        outer_warmup: outer steps over which β rises to its start, linearly.
-        outer_optimiser: plain gradient descent, as printed, or Adam.
+        outer_warmup: number of outer steps over which β rises linearly from 0 to its start.
+        outer_optimiser: Adam, or plain gradient descent as in the paper.
         outer_updates: outer steps per iteration, each on a fresh draw from the same replays.
-        epsilon: random-action share of the first and of the last task (or environment); the rest are spaced evenly.
-        averaging: decay per iteration of the moving average of θ that is the prior; 0 takes θ itself, as printed.
-        select_from: the prior is the best snapshot after this share of training, by its greedy return on extra
-            training tasks; 1 takes the last, as printed.
+        epsilon: share of random actions in the first and in the last task (or environment); the rest are spaced evenly.
+        averaging: decay per iteration of the moving average of θ, which is the prior; 0 takes θ itself, as in the paper.
+        select_from: the prior is the snapshot with the best greedy return on extra training tasks, among those after
+            this share of the training; 1 takes the last one, as in the paper.
         snapshot_every: iterations between snapshots.
-        evaluation_tasks: extra training tasks, never test tasks, on which snapshots are tried.
+        evaluation_tasks: number of extra training tasks, never test tasks, on which snapshots are compared.
         evaluation_episodes: greedy episodes on each of them.
-        precision: of what convolutions multiply; GPUs are faster with less than float32, CPUs only round.
+        precision: precision of the factors in convolutions; below float32 GPUs are faster, and CPUs only round.
     """
 
     iterations: int = 500

@@ -78,11 +78,11 @@ class AbstractFinitePosterior(AbstractPosterior):
     """φ_i, given by Q_φ in every state of its task; D_i is used whole, each pair of state and action counting once.
 
     Attributes:
-        environments: of each task, side by side, each with its own ε.
-        inner_step_size: α.
-        inner_steps: N.
-        reward_weight: how often rewarded pairs of state and action count in the outer loss.
-        advantage_weight: weight, in the outer loss, of how the errors differ between the actions of a state.
+        environments: number of environments of each task, side by side, each with its own ε.
+        inner_step_size: α, the size of an inner step.
+        inner_steps: N, the number of inner steps.
+        reward_weight: weight of rewarded pairs of state and action in the outer loss.
+        advantage_weight: weight, in the outer loss, of the differences between the errors of a state's actions.
     """
 
     environments: int = 1

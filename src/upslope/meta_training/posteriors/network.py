@@ -34,9 +34,9 @@ class NetworkPosterior(AbstractPosterior):
     """φ_i is the whole network.
 
     Attributes:
-        batch_size: samples per task behind each φ_i; the outer loss uses the same ones.
-        inner_step_size: α.
-        inner_steps: N.
+        batch_size: samples of each task for its φ_i; the outer loss uses the same ones.
+        inner_step_size: α, the size of an inner step.
+        inner_steps: N, the number of inner steps.
         normalised_steps: use Polyak's steps: α is the share of a single squared error that one step removes.
         outer_target: whether gradients flow through Q_φ as the target of Eq. 7: "kept" (the literal reading, which
             collapses) or "stopped".

@@ -27,11 +27,11 @@ class TablePosterior(AbstractFinitePosterior):
     With N = 1 and α = 1 the table is one Bellman backup, and Eq. 7 is the loss of multi-task DQN.
 
     Attributes:
-        environments: of each task, side by side, each with its own ε.
+        environments: number of environments of each task, side by side, each with its own ε.
         inner_step_size: α, the share of each TD error that one step removes.
-        inner_steps: N.
-        reward_weight: how often rewarded pairs of state and action count in the outer loss.
-        advantage_weight: weight, in the outer loss, of how the errors differ between the actions of a state.
+        inner_steps: N, the number of inner steps.
+        reward_weight: weight of rewarded pairs of state and action in the outer loss.
+        advantage_weight: weight, in the outer loss, of the differences between the errors of a state's actions.
         target_decay: decay per iteration of the averaged network from whose Q the table starts; None starts at Q_θ.
     """
 
