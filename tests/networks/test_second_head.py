@@ -12,13 +12,8 @@ from support.batches import random_batch
 from support.comparing import assert_trees_identical, largest
 from support.levelled import LevelledHead, levelled, plain
 from support.meta import TINY
-<<<<<<< HEAD
-from support.probes import PLACES, choices, discrete_family
-from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, Algorithm2, advantage_step_loss
-=======
 from support.probes import ACTIONS, PLACES, choices, discrete_family
-from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, AdvantageHead, advantage_step_loss
->>>>>>> h-tests
+from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, Algorithm2, advantage_step_loss
 from upslope.adaptation.fine_tuning import FineTuning
 from upslope.errors import DamagedFileError
 from upslope.learners.lookups import dueling_table

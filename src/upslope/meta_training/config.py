@@ -38,7 +38,7 @@ class MetaTrainingConfig:
         outer_optimiser: Adam, or plain gradient descent as in the paper.
         outer_updates: outer steps per iteration, each on a fresh draw from the same replays.
         epsilon: share of random actions in the first and in the last task (or environment); the rest are spaced evenly.
-        averaging: decay per iteration of the moving average of θ, which is the prior; 0 takes θ itself, as in the paper.
+        averaging: decay per iteration of the moving average of θ that is the prior; 0 takes θ itself, as in the paper.
         select_from: the prior is the snapshot with the best greedy return on extra training tasks, among those after
             this share of the training; 1 takes the last one, as in the paper.
         snapshot_every: iterations between snapshots.
