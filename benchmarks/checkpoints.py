@@ -51,7 +51,7 @@ class Watched:
 
 
 def learn(count: int, updates: int, every: int, checkpoints: Checkpoints) -> float:
-    """Trains ``count`` DQNs; returns the seconds that it took, compiling apart."""
+    """Trains ``count`` DQNs; returns the seconds that it took, without compiling."""
     family = cartpoles()
     tasks = family.sample_many(jax.random.key(1), count)
     learners = DQN(family, tasks, None, DQNConfig(decay_updates=0))

@@ -1,7 +1,7 @@
 """How many steps Stable-Baselines3's learners need on fresh poles: shaped, unshaped, and with a constant potential.
 
 ``python -m benchmarks.clients`` writes ``runs.jsonl``, ``results.json`` and ``figure.png`` into ``docs/data/clients``.
-It takes the better part of an hour; started again, it goes on with the runs that are missing.
+It takes most of an hour; a second start continues with the missing runs.
 """
 
 import copy
@@ -75,7 +75,7 @@ class Options:
 
     algorithms: tuple[str, ...] = ("DQN", "SAC", "TD3", "PPO")
     seeds: int = 10
-    """Each with a pole of its own, its length drawn from U[0.25, 5] by the seed."""
+    """Each with its own pole, whose length is drawn from U[0.25, 5] by the seed."""
     first_seed: int = 600
     episodes: int = 5
     """Greedy ones on the raw environment at every evaluation, from the same starts each time."""
@@ -151,7 +151,7 @@ def learn(algorithm: str, seed: int, arm: str, options: Options, settings: dict[
     prior = upslope.load_prior("cartpole")
     env: gym.Env = Monitor(gym.make(name, length=length))
     if arm != "unshaped":
-        # The control: what the prior's mean level alone is worth, as its card tells it.
+        # The control: the effect of the prior's mean level alone, which is on its card.
         level = json.loads(prior_path("cartpole").with_suffix(".json").read_text(encoding="utf-8"))["level"]
         env = upslope.PotentialShaping(env, prior if arm == "shaped" else lambda obs: level, gamma=prior.gamma)
     steps, every = (600, 200) if options.quick else STEPS[algorithm]
@@ -161,7 +161,7 @@ def learn(algorithm: str, seed: int, arm: str, options: Options, settings: dict[
     model = learner("MlpPolicy", env, gamma=prior.gamma, seed=seed, device="cpu", **for_sb3(settings, actions.shape))
     evaluation = GreedyReturns(gym.make_vec(name, options.episodes, length=length), every, seed)
     model.learn(steps, callback=evaluation)
-    curve = evaluation.returns[: steps // every + 1]  # PPO goes on to the end of its last rollout
+    curve = evaluation.returns[: steps // every + 1]  # PPO continues to the end of its last rollout
     return Run(algorithm, seed, arm, length, every, curve, round(time.perf_counter() - began, 1), variant)
 
 
@@ -177,7 +177,7 @@ def for_sb3(settings: dict[str, Any], actions: tuple[int, ...]) -> dict[str, Any
 
 
 class GreedyReturns(BaseCallback):
-    """The mean raw return of one greedy episode in each of some environments, every so many steps.
+    """The mean raw return of one greedy episode in each of several environments, at regular intervals.
 
     Attributes:
         returns: so far; the first before any learning.

@@ -94,7 +94,7 @@ def _algorithm(runs: list[Run]) -> dict[str, Any]:
         "every": every,
         "lengths": [run.length for run in runs if run.arm == "shaped"],
         "arms": arms,
-        # Where the others never got there, they needed at least so many times the steps.
+        # Where the others never reached it, this is a lower bound of the ratio.
         "times_fewer_steps": {
             arm: {
                 "factor": (arms[arm]["median_first"] or total) / shaped,

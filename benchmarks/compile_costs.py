@@ -1,4 +1,4 @@
-"""What each call of a job spends on tracing, lowering and compiling or loading, told apart by JAX's own events."""
+"""The time that each call of a job spends on tracing, lowering and compiling or loading, from JAX's own events."""
 
 import threading
 import time

@@ -36,7 +36,7 @@ def outer_gradient(
     Args:
         target: of Eq. 7, "stopped" or "kept".
         inner_steps: N.
-        task_by_task: one task after the other instead of side by side.
+        task_by_task: one task after the other instead of all at once.
         settings: others of `NetworkPosterior`.
     """
     posterior = NetworkPosterior(

@@ -37,7 +37,7 @@ class Options(harness.Options):
     """What to time.
 
     Attributes:
-        learners: DQNs side by side; shared by the processes where there are two.
+        learners: DQNs trained together; divided between the processes where there are two.
         updates: of them in a repeat.
         seeds: of Algorithm 1.
         iterations: of it.
@@ -58,7 +58,7 @@ def main(options: Options) -> None:
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     if len(cores) < 2:
         raise SystemExit(
-            "This compares two cores with one, but the process may use one only, or the system can't tell."
+            "This compares two cores with one, but the process may use only one, or the system does not report it."
         )
     first, both = cores[:1], cores[:2]
     parts: dict[str, Part] = {}
@@ -93,7 +93,7 @@ def main(options: Options) -> None:
 
 
 class Worker:
-    """A process on some cores that does its job each time that it is told to."""
+    """A process on some cores that does its job on request."""
 
     def __init__(self, job: str, count: int, steps: int, cores: Sequence[int], devices: int):
         arguments = (job, str(count), str(steps), str(devices))
@@ -106,7 +106,7 @@ class Worker:
         )
         os.sched_setaffinity(self.process.pid, cores)
 
-    def tell(self) -> None:
+    def request(self) -> None:
         """Starts a turn."""
         assert self.process.stdin is not None
         self.process.stdin.write("go\n")
@@ -126,7 +126,7 @@ class Worker:
 def work(crew: Sequence[Worker]) -> None:
     """All of a crew at once, waited for."""
     for worker in crew:
-        worker.tell()
+        worker.request()
     for worker in crew:
         worker.wait()
 

@@ -42,7 +42,7 @@ class Options(harness.Options):
     """What to time.
 
     Attributes:
-        widths: environments side by side.
+        widths: environments in a batch.
         steps: of each width, in one repeat.
         host_steps: of Gymnasium's, which are slower.
         numpy_steps: of its CartPole in numpy.
@@ -122,7 +122,7 @@ def rivals() -> list[Rival]:
 
 
 def compiled(rival: Rival, width: int, steps: int, level: str) -> Callable[[], object]:
-    """So many steps of so many environments in one program, on one device."""
+    """Steps of a batch of environments in one program, on one device."""
     program = jax.jit(player(rival, width, steps, level), compiler_options=QUICK_TO_RUN)
     key, params = unroll(jax.random.key(2)), rival.params(width)
     return lambda: program(key, params).block_until_ready()
@@ -159,7 +159,7 @@ def resets(rival: Rival, width: int, steps: int) -> Callable[[], object]:
 
 
 def player(rival: Rival, width: int, steps: int, level: str) -> Callable[[jax.Array, Any], jax.Array]:
-    """A function of a key and of tasks; what is seen is added up, so that nothing is left out."""
+    """A function of a key and of tasks; observations are summed, so that the compiler leaves nothing out."""
     axis = 0 if rival.stacked else None
     reset = jax.vmap(rival.env.reset, in_axes=(0, axis))
     step = jax.vmap(rival.env.step, in_axes=(0, 0, 0, axis))

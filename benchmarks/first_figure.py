@@ -80,7 +80,7 @@ def dqn_learners(updates: int) -> Callable[[], object]:
 
 
 def quick_figure() -> dict[str, Row]:
-    """The quick form as a user types it, in processes of their own; the cache that the first fills warms the second."""
+    """The quick form as a user types it, each time in its own process; the first fills the cache for the second."""
     rows = {}
     with tempfile.TemporaryDirectory() as text:
         folder = Path(text)

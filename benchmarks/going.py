@@ -1,4 +1,4 @@
-"""A batch of learners that goes on for as long as it is told: the programs of `upslope.run`, without their loop."""
+"""A batch of learners that can always train further: the programs of `upslope.run`, without their loop."""
 
 from typing import Any
 
@@ -39,5 +39,5 @@ class Going:
 
     def _advance(self, steps: int, *, report: bool) -> dict[str, Any]:
         chunk = self._engine.advance(self._learners, self._states, self._totals, steps, fresh=False, report=report)
-        self._states, self._totals, told = jax.block_until_ready((chunk.states, chunk.totals, chunk.report))
-        return told
+        self._states, self._totals, report = jax.block_until_ready((chunk.states, chunk.totals, chunk.report))
+        return report

@@ -1,7 +1,7 @@
 """What every benchmark shares: parts timed in turns, bars to reach, and the JSON and the table it all ends in.
 
-A part is a call that does the work once and waits for it. Its first call, which compiles, is told apart; then all
-parts take turns, so that a machine that slows down slows down all of them.
+A part is a call that does the work once and waits for it. Its first call, which compiles, is reported separately. Then
+all parts take turns, so that a machine that slows down slows down all of them.
 """
 
 import atexit
@@ -33,7 +33,7 @@ class Options:
 
     Attributes:
         repeats: of each part, in turns, after its first call.
-        quick: a small form that shows that all works; its results go to a folder of their own and mean nothing.
+        quick: a small form that shows that everything works; its results go to a separate folder and mean nothing.
     """
 
     repeats: int = 5
@@ -62,7 +62,7 @@ class Bar(NamedTuple):
         needed: the least, or the most.
         at_most: whether less is better.
         bound: what bounds it where it is missed.
-        close: whether the bound is to be told although the bar is met, because it is met by a margin for noise only.
+        close: whether the bound is reported although the bar is met, because only the margin for noise meets it.
     """
 
     what: str
@@ -98,7 +98,7 @@ def time_in_turns(
     Args:
         parts: by name.
         repeats: of each.
-        after: is told how many calls all parts have had, after the first ones and after each turn; it is not timed.
+        after: called after the first calls and after each turn, with the number of calls that each part has had.
 
     Returns:
         By name: all ``seconds``, their ``median``, ``fastest`` and ``slowest``, seconds of the ``first_call``, how many
@@ -189,7 +189,7 @@ _HEADS = {"first_call": "first call, s", "compiling": "of it compiling, s"}
 
 
 def number(value: Any) -> str:
-    """Three significant digits, thousands apart; words as they are."""
+    """Three significant digits with thousands separators; words unchanged."""
     if not isinstance(value, int | float):
         return str(value)
     if value == 0 or not np.isfinite(value):

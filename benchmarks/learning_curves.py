@@ -1,4 +1,4 @@
-"""What Algorithm 1 has learned after so many iterations, by who trains it: mean greedy returns on poles."""
+"""Learning curves of each implementation of Algorithm 1: mean greedy returns on poles."""
 
 import importlib.util
 from collections.abc import Iterator
@@ -91,7 +91,7 @@ def bars(curves: dict[str, Any]) -> list[Bar]:
 
 
 def standard_errors_apart(ours: list[float], theirs: list[float]) -> float | None:
-    """How far two means lie apart, in standard errors of their difference; few values are given our spread."""
+    """The distance of two means in standard errors of their difference; our spread stands in for few values."""
     if len(ours) < 2:
         return None
     spread = np.var(ours, ddof=1)

@@ -28,7 +28,7 @@ class Options(harness.Options):
 
     Attributes:
         maps: planned in and measured at once.
-        learners: DQNs with the paper's convolutional network, each on a map of its own, beside one alone.
+        learners: DQNs with the paper's convolutional network, each on its own map, compared with one alone.
         updates: of each of them; figures evaluate every 25.
     """
 
@@ -98,13 +98,13 @@ def learning(count: int) -> tuple[DQN, Keys]:
 
 
 def planning(family: JaxTasks, count: int) -> Callable[[], Any]:
-    """V* and Q* of so many maps."""
+    """V* and Q* of a batch of maps."""
     maps = many(family, count)
     return lambda: solve_all(family.env, maps, family.gamma)
 
 
 def knowing(family: JaxTasks, count: int) -> Callable[[], Any]:
-    """All that `upslope.planning.measures` needs to know of so many maps, once."""
+    """Everything that `upslope.planning.measures` needs of a batch of maps."""
     maps = many(family, count)
     return lambda: truths(family.env, maps, family.gamma)
 

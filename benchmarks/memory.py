@@ -1,6 +1,6 @@
 """Peak resident memory as tasks, seeds, replay and inner steps grow; full graph, first order, and rematerialised.
 
-``python -m benchmarks.memory`` writes ``benchmarks/results/memory.json``. Each case is a process of its own; what a
+``python -m benchmarks.memory`` writes ``benchmarks/results/memory.json``. Each case runs in its own process; what a
 process holds before it does anything, its imports, is taken off. The peak is that of a step after the first one, which
 compiles and takes more; where the system can't start a new peak (it can on Linux) the two are one.
 """
@@ -47,7 +47,7 @@ class Options(harness.Options):
     Attributes:
         repeats: processes of each case, in turns.
         tasks: of one meta-iteration on CartPole.
-        seeds: meta-trained side by side.
+        seeds: meta-trained together.
         replays: transitions that each of ten DQN learners remembers.
         inner_steps: N of the convolutional meta-gradient.
         case: of one process; set by the benchmark itself.

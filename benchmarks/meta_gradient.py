@@ -44,11 +44,11 @@ class Options(harness.Options):
     """What to time.
 
     Attributes:
-        tasks: numbers of tasks, each with weights of its own in the inner step. The first of them is timed with all
+        tasks: numbers of tasks, each with its own weights in the inner step. The first of them is timed with all
             forms and both targets of Eq. 7, the others with the default form and the default target.
         batch: transitions of each task.
         forms: of the convolution: lax takes minutes.
-        side_by_side: also all tasks side by side instead of one after the other.
+        side_by_side: also all tasks at once instead of one after the other.
         torch: PyTorch too, if it is installed; on CPUs and in float32 only, as its form here knows no other.
         precision: of what convolutions multiply, and the large product with them; CPUs only round.
     """
@@ -129,7 +129,7 @@ def bars(rows: dict[str, Row]) -> list[Bar]:
 
 
 def pair_of_bars(which: str, name: str, own: dict[str, Row], peers: dict[str, Row], at_once: int) -> list[Bar]:
-    """Both bars of one row, in which so many gradients are taken at once."""
+    """Both bars of one row, in which several gradients are computed at once."""
     row, form = own[name], name.split(", ")[1]
     share = row[SHARE]
     found = [Bar(f"{which} ({form}): at least 70 % of the machine's matmul rate", share, 0.7, bound=_MEMORY[form])]

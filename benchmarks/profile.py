@@ -37,7 +37,7 @@ class Options(harness.Options):
     """What to time.
 
     Attributes:
-        learners: DQNs and DDPGs side by side.
+        learners: DQNs and DDPGs trained together.
         jobs: which; all by default.
     """
 
@@ -100,7 +100,7 @@ def all_jobs(count: int) -> dict[str, Callable[[], tuple[AbstractLearner, Keys, 
 
 
 def cut_off(learners: AbstractLearner, keys: Keys, phases: Mapping[str, Phase], steps: int) -> dict[str, Part]:
-    """Programs of so many steps that end after each phase."""
+    """Programs of a number of steps that end after each phase."""
     axes = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, learners)
     alone = learners.takes_turns
     start = jax.jit(jax.vmap(lambda one, key: one.init(key), (axes, 0)), compiler_options=QUICK_TO_COMPILE)

@@ -52,7 +52,7 @@ def _git(*arguments: str) -> str:
 
 
 def _processor() -> dict[str, str]:
-    """What tells processors of one name apart; only Linux says."""
+    """Details that distinguish processors of one name; only Linux reports them."""
     wanted = {"cpu family": "family", "model": "model", "stepping": "stepping", "cpu MHz": "MHz", "cache size": "cache"}
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()

@@ -27,7 +27,7 @@ class Options(harness.Options):
 
     Attributes:
         tasks: of one meta-iteration on CartPole.
-        seeds: meta-trained side by side.
+        seeds: meta-trained together.
         inner_steps: N.
         sizes: rows, and columns, of maps.
     """
@@ -38,7 +38,7 @@ class Options(harness.Options):
     sizes: tuple[int, ...] = (8, 16, 32)
 
 
-#: Trials of snapshots are no part of an iteration, but of the program: small ones compile sooner.
+#: Trials of snapshots are not part of an iteration, but of the program: small ones compile faster.
 SMALL = {"evaluation_tasks": 1, "evaluation_episodes": 1}
 RECIPE = MetaTrainingConfig(**SMALL)
 

@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.shaping`` writes ``benchmarks/results/shaping.json``. The peers take part where they are
 installed (``pip install stable-baselines3 sbx-rl torch==2.13.0``). A repeat is a stretch of one long run: six stretches
-of 500 updates, the first of which compiles and is told apart. Learners are tried after 1,000 and after 3,000.
+of 500 updates, the first of which compiles and is reported separately. Learners are
+evaluated after 1,000 and after 3,000.
 """
 
 import importlib.util
@@ -83,7 +84,7 @@ def main(options: Options) -> None:
 
 
 class Ours:
-    """So many DQN learners side by side, in the programs that the figures run."""
+    """A batch of DQN learners, in the programs that the figures run."""
 
     def __init__(self, count: int, prior: Prior | None, options: Options):
         family = cartpoles()
@@ -100,7 +101,7 @@ class Ours:
 
 
 class Peer:
-    """One learner of somebody else's: how it goes on, and how it is tried."""
+    """One learner of another library: how it trains further, and how it is evaluated."""
 
     count = 1
     steps_per_update = 1

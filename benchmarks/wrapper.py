@@ -1,4 +1,4 @@
-"""What shaping costs a simulator process at every step, beside the bare environment and Gymnasium's own wrapper.
+"""The cost of shaping per step in a simulator process, compared with the bare environment and Gymnasium's wrapper.
 
 ``python -m benchmarks.wrapper`` writes ``benchmarks/results/wrapper.json``.
 """

@@ -110,7 +110,7 @@ def main() -> None:
             lambda folder: stops.in_each_phase(folder, whole("dqn"), form.phases, form.stops_per_phase, seed),
         )
         if form.stops_of_a_figure:
-            check("SIGTERM amid a figure", lambda folder: stops.amid_a_figure(folder, form.stops_of_a_figure, seed))
+            check("SIGTERM amid a figure", lambda folder: stops.during_a_figure(folder, form.stops_of_a_figure, seed))
         check("full disk", lambda folder: disk.full(folder, 16))
         check("damaged and forged files", lambda folder: mutations.mutated(folder, form.mutants, seed))
         check("what loading does", audit.loading)

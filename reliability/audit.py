@@ -13,7 +13,7 @@ _FORBIDDEN = ("pickle", "_pickle", "cloudpickle", "dill", "marshal", "shelve", "
 
 
 def loading(folder: Path) -> dict[str, Any]:
-    """Loads a prior and a checkpoint in a process of their own, under an audit hook."""
+    """Loads a prior and a checkpoint in a separate process, under an audit hook."""
     command = [sys.executable, "-m", "reliability.audit", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     require(done.returncode == 0, f"the audited process failed: {done.stderr[-2000:]}")

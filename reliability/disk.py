@@ -1,4 +1,4 @@
-"""A disk that fills up, at every write of a save: what was saved before is there every time."""
+"""A disk that fills up at each write of a save: the earlier save is always intact."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ from upslope.errors import NotSavedError
 
 
 def full(folder: Path, megabytes: int) -> dict[str, Any]:
-    """Lets the n-th step of a save fail for want of space, for every n until the save succeeds."""
+    """Makes the n-th step of a save fail with no space left, for every n until the save succeeds."""
     path = folder / "state.safetensors"
     old = {"a": np.zeros(megabytes * 2**18, np.float32)}
     new = {"a": np.ones(megabytes * 2**18, np.float32)}

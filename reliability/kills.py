@@ -1,4 +1,4 @@
-"""SIGKILL at random moments, and at every named point inside a save: what resumes ends where it would have ended."""
+"""SIGKILL at random moments, and at every named point inside a save: resumed runs end at the same bits."""
 
 import random
 from collections.abc import Callable, Sequence
@@ -19,17 +19,17 @@ MILESTONES = (
 
 
 def uninterrupted(kind: str, folder: Path) -> Ending:
-    """How a run ends that nobody disturbs, its programs compiled before."""
+    """The ending of an undisturbed run, with its programs compiled before."""
     require(work(kind, folder / f"{kind}-first").code == 0, f"{kind} does not run at all")
     ending = work(kind, folder / f"{kind}-whole")
-    require(ending.code == 0, f"{kind} does not run twice: {ending.errors}")
+    require(ending.code == 0, f"{kind} does not run a second time: {ending.errors}")
     return ending
 
 
 def at_random_moments(
     folder: Path, whole_run: Callable[[str], Ending], kinds: Sequence[str], count: int, seed: int
 ) -> dict[str, Any]:
-    """Kills ``count`` times; each killed run goes on, is killed again or ends.
+    """Kills ``count`` times; each killed run is resumed, and is killed again or ends.
 
     A kill counts as one after progress if the run had a newer checkpoint by then than when it was started.
     """
@@ -55,7 +55,7 @@ def at_random_moments(
                 if newest_checkpoint(run) != before:
                     progressed += 1
                 else:
-                    lasts *= 1.2  # on a machine that is slower now no run would ever come farther than its start
+                    lasts *= 1.2  # else no run would get past its start on a machine that has become slower
         ending = resume(kind, folder / f"{kind}-{number}")
         require(ending.digest == whole.digest, f"{kind} did not come to the same end: {ending.errors}")
         return kills, progressed, ended + 1
@@ -71,7 +71,7 @@ def at_random_moments(
 
 
 def newest_checkpoint(run: Path) -> str | None:
-    """The name of a run's newest checkpoint, which tells its update."""
+    """The name of a run's newest checkpoint, which contains its update."""
     return max((path.name for path in (run / "checkpoints").rglob("*.safetensors")), default=None)
 
 

@@ -1,4 +1,4 @@
-"""Starts workers, waits for them, and tells what became of them."""
+"""Starts workers, waits for them, and reports how they ended."""
 
 import os
 import re
@@ -18,7 +18,7 @@ class Ending(NamedTuple):
     Attributes:
         code: its exit code; negative for a signal.
         seconds: that it ran.
-        digest: what it printed, if it came to its end.
+        digest: what it printed, if it finished.
         errors: what it said last.
         honoured: seconds from the signal, if there was one, to its end.
     """
@@ -43,13 +43,13 @@ def require(kept: bool, what: str) -> None:
 def work(
     kind: str, folder: Path, *arguments: str, kill_after: float | None = None, cache: Path | None = None
 ) -> Ending:
-    """Runs one worker to its end, or kills it after some seconds; with a compilation cache of its own if given."""
+    """Runs one worker to its end, or kills it after some seconds; with its own compilation cache if one is given."""
     command = ("reliability.worker", kind, str(folder), *arguments)
     return module(*command, signal_after=(signal.SIGKILL, kill_after), cache=cache)
 
 
 def module(*command: str, signal_after: tuple[int, float | None], cache: Path | None = None) -> Ending:
-    """Runs ``python -m`` with a command to its end, or to the end that a signal after some seconds leads to."""
+    """Runs ``python -m`` with a command to its end, or sends it a signal after some seconds and waits for its end."""
     began = time.monotonic()
     environment = os.environ | ({} if cache is None else {"UPSLOPE_CACHE": str(cache)})
     process = subprocess.Popen(
@@ -68,13 +68,13 @@ def module(*command: str, signal_after: tuple[int, float | None], cache: Path | 
         sent = time.time()
         process.send_signal(number)
         output, errors = process.communicate()
-    told = re.search(r"signalled at ([0-9.]+)", errors)
-    sent = float(told[1]) if told else sent
+    reported = re.search(r"signalled at ([0-9.]+)", errors)
+    sent = float(reported[1]) if reported else sent
     honoured = time.time() - sent if sent else 0.0
     return Ending(process.returncode, time.monotonic() - began, output.strip(), errors.strip()[-2000:], honoured)
 
 
 def resume(kind: str, folder: Path, *arguments: str, kill_after: float | None = None) -> Ending:
-    """Goes on with a run; starts it where it had not come as far as to have a folder."""
+    """Resumes a run; starts it if it has no folder yet."""
     there = (folder / "run.json").is_file()
     return work(kind, folder, *(["--resume"] if there else []), *arguments, kill_after=kill_after)

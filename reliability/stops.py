@@ -45,7 +45,7 @@ def in_each_phase(folder: Path, whole: Ending, phases: Sequence[str], times: int
     }
 
 
-def amid_a_figure(folder: Path, times: int, seed: int) -> dict[str, Any]:
+def during_a_figure(folder: Path, times: int, seed: int) -> dict[str, Any]:
     """Stops the quick Figure 1 ``times`` times, while programs compile in the background too, and lets it end."""
     generator = random.Random(seed)
 
@@ -58,10 +58,10 @@ def amid_a_figure(folder: Path, times: int, seed: int) -> dict[str, Any]:
     while stopped < times:
         # From the second stop on, some programs are in the cache and some are not.
         ending = figure("stopped", generator.uniform(3.0, 20.0), folder / "cache")
-        require(ending.code in (0, 143), f"SIGTERM amid a figure ended with {ending.code}: {ending.errors}")
+        require(ending.code in (0, 143), f"SIGTERM during a figure ended with {ending.code}: {ending.errors}")
         if ending.code == 0:
             break
-        require(ending.honoured < 10, f"SIGTERM amid a figure took {ending.honoured:.1f} seconds")
+        require(ending.honoured < 10, f"SIGTERM during a figure took {ending.honoured:.1f} seconds")
         longest, stopped = max(longest, ending.honoured), stopped + 1
     for name in ("stopped", "whole"):
         ending = figure(name, None)

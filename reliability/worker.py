@@ -37,7 +37,7 @@ from upslope.run.signals import stop_requests
 from upslope.tasks import GymnasiumTasks, cartpoles
 
 KINDS = ("meta-training", "dqn", "ddpg", "adaptation")
-#: On Gymnasium environments, whose episodes begin anew after a stop: such runs do not end at the same bits.
+#: On Gymnasium environments, which start new episodes after a stop, so these runs do not end at the same bits.
 HOST_KINDS = ("host-meta-training", "host-dqn")
 PHASES = ("starting", "compiling", "evaluating", "running", "saving", "ending")
 FEW = {"tasks": 4, "steps_per_task": 50, "evaluation_tasks": 2, "evaluation_episodes": 1}

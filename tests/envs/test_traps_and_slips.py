@@ -19,11 +19,15 @@ from upslope.tasks import grid_games
 pytestmark = pytest.mark.slow
 
 FAMILY = grid_games((3, 4), traps=0.1, slip=0.2, max_steps=10, flat=True)
-MAPS = jax.tree.map(jnp.asarray, draw(FAMILY, 2))
 RECIPE = dataclasses.replace(
     for_grid_games(4), hidden=(8, 8), steps_per_task=20, outer_warmup=0, averaging=0.5, snapshot_every=2,
     evaluation_tasks=2,
 ).with_posterior(environments=2)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def maps():
+    return jax.tree.map(jnp.asarray, draw(FAMILY, 2))
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +41,8 @@ def priors():
 
 
 @pytest.fixture(scope="module")
-def arms(priors):
-    return grid_arms(FAMILY, MAPS, priors, priors, jnp.zeros(1))
+def arms(maps, priors):
+    return grid_arms(FAMILY, maps, priors, priors, jnp.zeros(1))
 
 
 def is_return(numbers):
@@ -47,29 +51,29 @@ def is_return(numbers):
 
 
 @pytest.mark.parametrize("name", ["prior", "manhattan", "oracle"])
-def test_shaped_dqn(arms, name):
+def test_shaped_dqn(maps, arms, name):
     shaping = jax.tree.map(lambda leaf: leaf[0], arms[name])
     config = dataclasses.replace(for_maps(), hidden=(8,), batch_size=8, replay_capacity=100)
-    outcome = run(DQN(FAMILY, MAPS, shaping, config), jax.random.split(jax.random.key(1), 2), updates=20, every=10)
+    outcome = run(DQN(FAMILY, maps, shaping, config), jax.random.split(jax.random.key(1), 2), updates=20, every=10)
     assert np.isfinite(outcome.metrics["td_loss"]).all()
     assert is_return(outcome.reports["return"])
     assert np.abs(outcome.metrics["shaped_reward"][:, -1]).min() > 0, "nothing was shaped"
 
 
-def test_potentials_by_hand_and_by_the_oracle_on_these_maps(arms):
+def test_potentials_by_hand_and_by_the_oracle_on_these_maps(maps, arms):
     manhattan, oracle = (np.asarray(arms[name].potential.values[0]) for name in ("manhattan", "oracle"))
     assert np.isfinite(oracle).all()
     assert np.all(oracle <= manhattan + 1e-6), "slips and traps only cost"
     assert np.any(oracle < manhattan - 0.01)
-    idle = np.asarray(MAPS.obstacles | MAPS.traps).reshape(2, -1)
+    idle = np.asarray(maps.obstacles | maps.traps).reshape(2, -1)
     np.testing.assert_array_equal(oracle[idle], 0)
-    np.testing.assert_array_equal(oracle[np.arange(2), np.asarray(MAPS.goal)], 0)
+    np.testing.assert_array_equal(oracle[np.arange(2), np.asarray(maps.goal)], 0)
 
 
-def test_algorithm_2(priors):
+def test_algorithm_2(maps, priors):
     config = AdaptationConfig(batch_size=8, replay_capacity=100, steps_per_update=20)
     learners = Adaptation(
-        FAMILY, MAPS, jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (2, *leaf.shape[1:])), priors),
+        FAMILY, maps, jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (2, *leaf.shape[1:])), priors),
         jnp.full(2, 0.03), config=config,
     )  # fmt: skip
     outcome = run(learners, jax.random.split(jax.random.key(2), 2), updates=6, every=3)

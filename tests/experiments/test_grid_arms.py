@@ -1,5 +1,8 @@
 """Potentials as tables over cells: the same numbers as the networks, and the same learners up to rounding."""
 
+from typing import Any, NamedTuple
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,72 +19,89 @@ from upslope.learners.shaping import potential_based
 from upslope.networks.dueling import DuelingQ
 from upslope.planning.grid_potentials import CellPotential
 from upslope.planning.measures import truths
-from upslope.priors.potentials import stack
 from upslope.run.loop import broadcast, run
 from upslope.tasks import grid_games
 
 #: Flat observations: fully connected networks, which compile in no time.
 FAMILY = grid_games((4, 4), max_steps=12, flat=True)
-MAPS = draw(FAMILY, 3)
-NETWORKS, CONTROL = (
-    stack([DuelingQ(jax.random.key(10 * number + seed), FAMILY.observation_shape, 4, (8,)) for seed in range(2)])
-    for number in range(2)
-)
-LEVELS = jnp.asarray([0.25, 0.5])
-ARMS = grid_arms(FAMILY, MAPS, NETWORKS, CONTROL, LEVELS)
 
 
-def network(seed, networks=NETWORKS):
-    return jax.tree.map(lambda leaf: leaf[seed], networks)
+class Case(NamedTuple):
+    """Two networks and two of the control on three maps, and the arms that they give."""
+
+    maps: Any
+    networks: Any
+    control: Any
+    levels: Any
+    arms: Any
 
 
-def test_tables_hold_what_the_networks_say_in_every_cell():
-    values = value_tables(FAMILY, MAPS, NETWORKS)
+@eqx.filter_jit
+def stacked_networks(first_seed):
+    seeds = first_seed + jnp.arange(2)
+    return jax.vmap(lambda seed: DuelingQ(jax.random.key(seed), FAMILY.observation_shape, 4, (8,)))(seeds)
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    maps, networks, control = draw(FAMILY, 3), stacked_networks(0), stacked_networks(10)
+    levels = jnp.asarray([0.25, 0.5])
+    return Case(maps, networks, control, levels, grid_arms(FAMILY, maps, networks, control, levels))
+
+
+def network(case, seed):
+    return jax.tree.map(lambda leaf: leaf[seed], case.networks)
+
+
+def test_tables_hold_what_the_networks_say_in_every_cell(case):
+    values = value_tables(FAMILY, case.maps, case.networks)
     assert values.shape == (2, 3, 16)
     for seed in range(2):
         for index in range(3):
             for cell in (0, 7, 15):
-                obs = FAMILY.env.observe(pick(MAPS, index), jnp.asarray(cell))
-                assert float(values[seed, index, cell]) == pytest.approx(float(network(seed).value(obs)), abs=1e-6)
+                obs = FAMILY.env.observe(pick(case.maps, index), jnp.asarray(cell))
+                assert float(values[seed, index, cell]) == pytest.approx(
+                    float(network(case, seed).value(obs)), abs=1e-6
+                )
 
 
-def test_arms():
-    own, others = value_tables(FAMILY, MAPS, NETWORKS), value_tables(FAMILY, MAPS, CONTROL)
-    assert all(arm.potential.values.shape == (2, 3, 16) for arm in ARMS.values())
-    values = {name: np.asarray(arm.potential.values) for name, arm in ARMS.items()}
+def test_arms(case):
+    own, others = value_tables(FAMILY, case.maps, case.networks), value_tables(FAMILY, case.maps, case.control)
+    assert all(arm.potential.values.shape == (2, 3, 16) for arm in case.arms.values())
+    values = {name: np.asarray(arm.potential.values) for name, arm in case.arms.items()}
     np.testing.assert_array_equal(values["unshaped"], 0)
-    np.testing.assert_array_equal(values["constant"], np.broadcast_to(LEVELS[:, None, None], (2, 3, 16)))
+    np.testing.assert_array_equal(values["constant"], np.broadcast_to(case.levels[:, None, None], (2, 3, 16)))
     np.testing.assert_array_equal(values["prior"], own)
     np.testing.assert_array_equal(values["prior_unzeroed"], own)
     np.testing.assert_allclose(values["prior_ensemble"], np.broadcast_to(own.mean(0), own.shape), rtol=1e-6)
     np.testing.assert_array_equal(values["multi_task_dqn"], others)
     for index in range(3):
-        for cell, way in enumerate(distances(as_board(pick(MAPS, index))).ravel()):
+        for cell, way in enumerate(distances(as_board(pick(case.maps, index))).ravel()):
             expected = 0.9 ** (way - 1) if way > 0 else 0.0
             assert values["oracle"][0, index, cell] == pytest.approx(expected, abs=1e-6)
             # The path is never shorter than the rows and columns to the goal.
             assert values["manhattan"][0, index, cell] >= expected - 1e-6
 
 
-def test_one_arm_alone_keeps_its_potential_at_terminal_states():
-    for name, arm in ARMS.items():
+def test_one_arm_alone_keeps_its_potential_at_terminal_states(case):
+    for name, arm in case.arms.items():
         np.testing.assert_allclose(arm.terminal_discount, 0.9 if name == "prior_unzeroed" else 0.0, rtol=1e-6)
 
 
-def test_the_level_is_the_mean_over_cells_that_count():
-    states = np.asarray(truths(FAMILY.env, MAPS, FAMILY.gamma).states)
-    own = np.asarray(value_tables(FAMILY, MAPS, NETWORKS))
+def test_the_level_is_the_mean_over_cells_that_count(case):
+    states = np.asarray(truths(FAMILY.env, case.maps, FAMILY.gamma).states)
+    own = np.asarray(value_tables(FAMILY, case.maps, case.networks))
     expected = [own[seed][states].mean() for seed in range(2)]
-    np.testing.assert_allclose(mean_levels_on_maps(FAMILY, MAPS, NETWORKS), expected, rtol=1e-5)
+    np.testing.assert_allclose(mean_levels_on_maps(FAMILY, case.maps, case.networks), expected, rtol=1e-5)
 
 
 @pytest.mark.slow
-def test_a_learner_shaped_by_the_table_is_one_shaped_by_the_network():
+def test_a_learner_shaped_by_the_table_is_one_shaped_by_the_network(case):
     """F differs by rounding only; thirty updates may amplify this a little."""
-    task = jax.tree.map(jnp.asarray, pick(MAPS, 0))
+    task = jax.tree.map(jnp.asarray, pick(case.maps, 0))
     config = DQNConfig(hidden=(8,), batch_size=8, warmup_steps=20, replay_capacity=64, learning_rate=1e-3)
     finished = []
-    for potential in (network(1).value, CellPotential(ARMS["prior"].potential.values[1, 0])):
+    for potential in (network(case, 1).value, CellPotential(case.arms["prior"].potential.values[1, 0])):
         learner = broadcast(DQN(FAMILY, task, potential_based(potential), config), (1,))
         finished.append(run(learner, jax.random.split(jax.random.key(3), 1), updates=30, every=30))
     by_network, by_table = finished

@@ -1,5 +1,6 @@
 """What DQN and DDPG descend on, against numpy; and that target networks lag behind by their rate."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +27,7 @@ def mean_huber(errors):
     return float(np.mean(np.where(size <= THRESHOLD, size**2, THRESHOLD**2 + 2 * THRESHOLD * (size - THRESHOLD))))
 
 
+@eqx.filter_jit  # one program instead of one for every shape that is drawn
 def networks(kind, count):
     return [kind(key, *SIZES) for key in jax.random.split(jax.random.key(0), count)]
 
