@@ -16,7 +16,7 @@ demo: $(INSTALLED) ## set up, and reproduce Figure 1 into a new folder under run
 test: $(TESTABLE) lint ## set up, and pass the fast tests
 	$(BIN)/pytest -n 2 --dist loadfile
 
-test-slow: $(TESTABLE) ## the learning checks, with real training
+test-slow: $(TESTABLE) ## whole-length training, examples, and further variants of the fast tests
 	$(BIN)/pytest -m slow
 
 check-all: $(TESTABLE) lint ## everything: all tests, all examples, Tianshou, Figure 1's quick form, reliability; about 1.5 hours

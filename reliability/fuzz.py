@@ -1,6 +1,6 @@
 """A coverage-guided fuzzer over the loader: ``python -m reliability.fuzz [SECONDS]``, ten minutes by default.
 
-It needs atheris (``pip install atheris``). The project does not depend on it: it has no wheels for newer Pythons.
+It needs atheris (``pip install atheris``), which the project does not require: it has no wheels for newer Pythons.
 """
 
 import sys

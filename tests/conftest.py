@@ -1,5 +1,6 @@
 """Set-up that must come before any import of upslope: the CPU, two virtual devices, runtime shape checks."""
 
+import gc
 import os
 import shutil
 import tempfile
@@ -26,8 +27,14 @@ settings.register_profile("upslope", deadline=None, derandomize=True, max_exampl
 settings.load_profile("upslope")
 
 
+def pytest_collection_finish():
+    """What all modules hold is never looked through for garbage again, which tracing does often."""
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_unconfigure(config):
-    """The first process to start is the last to end."""
+    """Only the first process, which ends last, removes the folder."""
     if not hasattr(config, "workerinput"):
         shutil.rmtree(os.environ["UPSLOPE_CACHE"], ignore_errors=True)
 

@@ -67,6 +67,7 @@ def test_a_plain_function_and_a_bound_method_are_potentials() -> None:
     assert float(check_potential(network.value, POLES)(obs)) == pytest.approx(float(network.value(obs)))
 
 
+@pytest.mark.slow
 def test_training_reports_raw_returns_whatever_the_potential() -> None:
     """The first report comes before any update: the same networks and episodes, so the same returns."""
     raw = train(POLES, TASK, None, updates=4, every=2, config=SMALL)

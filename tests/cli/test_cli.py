@@ -58,6 +58,7 @@ def test_train_without_shaping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     assert Agent.load(tmp_path / "b" / "agent.safetensors").trained_on.learner == "ddpg"
 
 
+@pytest.mark.slow
 def test_adapt_saves_a_posterior(prior_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     call(monkeypatch, "adapt", str(prior_file), "--updates", "2", "--rule", "maml", "--out", str(tmp_path / "a"))
     posterior = Prior.load(tmp_path / "a" / "posterior.safetensors")

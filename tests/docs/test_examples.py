@@ -25,15 +25,13 @@ RUNS = {
     "tianshou_dqn": ([], ("tianshou",)),  # in an environment of its own
 }
 
-#: One that is run at every change; the others are left to the slow tier, and CI runs them apart.
-FAST = {"sb3_discrete-DQN"}
-
 
 def test_all_are_listed():
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {run.partition("-")[0] for run in RUNS}
 
 
-@pytest.mark.parametrize("run", [pytest.param(run, marks=[pytest.mark.slow] * (run not in FAST)) for run in RUNS])
+@pytest.mark.slow
+@pytest.mark.parametrize("run", RUNS)
 def test_it_runs(run):
     arguments, modules = RUNS[run]
     missing = [module for module in modules if importlib.util.find_spec(module) is None]

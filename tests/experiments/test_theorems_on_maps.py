@@ -84,14 +84,8 @@ class TestTheorem31:
         assert found["sets_equal"] == 1
         assert found["single_largest"] > 0.1, "a lucky slip"
 
-    @pytest.mark.parametrize(
-        "kind",
-        [
-            pytest.param("clean 10×10", marks=pytest.mark.slow),
-            pytest.param("traps 8×8", marks=pytest.mark.slow),
-            "traps, slippery 8×8",
-        ],
-    )
+    @pytest.mark.slow
+    @pytest.mark.parametrize("kind", ["clean 10×10", "traps 8×8", "traps, slippery 8×8"])
     def test_on_a_hundred_maps_of_the_other_kinds(self, kind):
         maps = draw_maps(kinds()[kind], 100, seed=6)
         with jax.enable_x64(True):

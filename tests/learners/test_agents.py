@@ -46,6 +46,7 @@ def assert_learned(learned, expected, tolerance=0.05):
     np.testing.assert_allclose(learned[visited], expected[visited], rtol=0, atol=tolerance)
 
 
+@pytest.mark.slow
 class TestDQN:
     @pytest.fixture(scope="class")
     @staticmethod

@@ -57,6 +57,7 @@ def test_algorithm_1(prior):
 @pytest.mark.parametrize(
     "rule", [None, pytest.param(FineTuning(), marks=pytest.mark.slow)], ids=["algorithm 2", "MAML"]
 )
+@pytest.mark.slow
 def test_adaptation(prior, rule):
     family = FAMILY
     config = AdaptationConfig(batch_size=8, steps_per_update=10, evaluation_episodes=1, replay_capacity=64)
@@ -67,7 +68,7 @@ def test_adaptation(prior, rule):
     assert result.posterior.to_numpy() != prior.to_numpy()
 
 
-@pytest.mark.parametrize("shaped", [False, True])
+@pytest.mark.parametrize("shaped", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_dqn(prior, shaped):
     family = FAMILY
     task = family.sample(jax.random.key(5))
@@ -87,6 +88,7 @@ def test_ddpg(prior):
     assert np.all(np.isfinite(result.metrics["critic_loss"]))
 
 
+@pytest.mark.slow
 def test_several_learners_take_turns_and_do_not_touch_each_other():
     family = FAMILY
     tasks = family.sample_many(jax.random.key(5), 2)
@@ -109,6 +111,7 @@ def test_a_chunk_is_as_good_as_its_parts():
     assert_trees_close(ends[0], ends[1])
 
 
+@pytest.mark.slow
 def test_on_the_host_the_network_of_one_iteration_ago_acts():
     learner = MetaTraining(FAMILY, SMALL)
     before = learner.init(jax.random.key(0))

@@ -48,7 +48,7 @@ def test_a_normalised_step_removes_its_share_of_one_error(theta, observations):
         assert float(found[2, best]) == pytest.approx(before + share * (1 - before), abs=2e-4)
 
 
-@pytest.mark.parametrize("kind", [HeadsPosterior, WeightsPosterior])
+@pytest.mark.parametrize("kind", [HeadsPosterior, pytest.param(WeightsPosterior, marks=pytest.mark.slow)])
 def test_algorithm_1_goes_to_where_they_are(maps, theta, samples, kind):
     posterior = kind(
         inner_step_size=0.3, inner_steps=2, normalised_steps=True, reward_weight=5.0, advantage_weight=30.0

@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from support.batches import small_network
 from support.comparing import assert_trees_close, largest
@@ -63,6 +64,7 @@ def test_without_a_target_network_it_starts_at_q_theta(theta, observations):
     np.testing.assert_allclose(found, q.at[0, 1].set(0.5 + 0.9 * q[3].max()), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_multi_task_dqn_has_the_gradient_of_dqn(maps, state, samples):
     """One backup of the averaged network, and Eq. 7: nothing else than Eq. 5 with a frozen target."""
     config = dataclasses.replace(multi_task_dqn(4), hidden=(8, 8)).with_posterior(reward_weight=1.0)

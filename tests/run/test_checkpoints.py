@@ -106,7 +106,7 @@ class TestResuming:
     @pytest.mark.parametrize(
         "learner",
         [
-            pytest.param(learner, id=name, marks=[pytest.mark.slow] * (name in ("Algorithm 2", "MAML", "DDPG")))
+            pytest.param(learner, id=name, marks=[pytest.mark.slow] * (name != "Algorithm 1"))
             for name, learner in LEARNERS.items()
         ],
     )
@@ -432,6 +432,7 @@ class TestSignals:
         assert_same(outcomes[0], walk())
 
 
+@pytest.mark.slow
 def test_a_potential_that_breaks_is_named_with_phase_and_step(tmp_path):
     class Breaking(eqx.Module):
         def __call__(self, obs):

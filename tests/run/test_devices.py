@@ -98,10 +98,8 @@ def assert_same(found, expected):
         np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name not in ("three DQNs", "shared poles"))) for name in JOBS],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", JOBS)
 def test_two_devices_as_one(name, monkeypatch):
     """Seven learners are padded to eight, three to four; four tasks of one learner are shared."""
     spread = learn(name)

@@ -173,6 +173,7 @@ class TestGymnax:
         np.testing.assert_array_equal(np.asarray(shown)[~done], np.asarray(final)[~done])
         assert terminated.any() or truncated.any()
 
+    @pytest.mark.slow
     def test_time_limits_and_failures_are_told_apart(self):
         _, car = self.family("MountainCar-v0")
         batch = rollout(car, randomly(3), 450)

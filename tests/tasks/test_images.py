@@ -123,6 +123,7 @@ class TestNumpy:
 
 
 class TestLearners:
+    @pytest.mark.slow
     def test_dqn_by_convolutions(self, family):
         learners = broadcast(DQN(family, family.sample(KEY), None, DQN_SMALL), (1,))
         outcome = run(learners, KEY[None], updates=2, every=2)

@@ -146,7 +146,7 @@ class TestClients:
         check_env(Single(gym.make(name), prior, 0.98))
 
     @pytest.mark.parametrize(
-        "algorithm", ["DQN", "SAC", *(pytest.param(name, marks=pytest.mark.slow) for name in ("PPO", "TD3", "DDPG"))]
+        "algorithm", ["DQN", *(pytest.param(name, marks=pytest.mark.slow) for name in ("PPO", "SAC", "TD3", "DDPG"))]
     )
     def test_learners_run_on_shaped_rewards_and_report_raw_returns(self, algorithm, prior):
         name = "upslope/CartPole-v0" if algorithm in ("DQN", "PPO") else "upslope/ContinuousCartPole-v0"

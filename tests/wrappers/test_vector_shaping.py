@@ -172,7 +172,9 @@ def test_thousands_of_random_sequences_against_a_plain_recomputation(mode):
     assert (kinds["dummy"] > 3000) == (mode is NEXT)
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize(
+    "mode", [SAME, *(pytest.param(mode, marks=pytest.mark.slow) for mode in AutoresetMode if mode != SAME)]
+)
 def test_worker_processes_pay_the_same(mode, prior):
     """Async around single wrappers (which are pickled), the twin around Async, and the twin around Sync."""
 
