@@ -52,7 +52,7 @@ class Form(NamedTuple):
 
 SHORT = Form()
 LONG = Form(kills=500, host_kills=50, kills_per_point=3, stops_per_phase=20, stops_of_a_figure=20)
-QUICK = Form(("dqn",), 4, 0, 1, ("compiling", "running", "saving"), 1, 0, 2_000)
+QUICK = Form(("dqn",), 3, 0, 1, ("compiling", "running", "saving"), 1, 0, 2_000)
 
 
 @dataclass(frozen=True)

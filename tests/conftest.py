@@ -1,6 +1,5 @@
 """Set-up that must come before any import of upslope: the CPU, two virtual devices, runtime shape checks."""
 
-import gc
 import os
 import shutil
 import tempfile
@@ -25,12 +24,6 @@ install_import_hook("upslope", "beartype.beartype")
 
 settings.register_profile("upslope", deadline=None, derandomize=True, max_examples=40)
 settings.load_profile("upslope")
-
-
-def pytest_collection_finish():
-    """What all modules hold is never looked through for garbage again, which tracing does often."""
-    gc.collect()
-    gc.freeze()
 
 
 def pytest_unconfigure(config):
