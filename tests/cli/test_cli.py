@@ -69,8 +69,8 @@ def test_adapt_saves_a_posterior(prior_file: Path, tmp_path: Path, monkeypatch: 
     ("arguments", "words"),
     [
         (["reproduce", "fig9"], ["'fig9'", "fig1"]),
-        (["reproduce", "fig1", "--seeds", "0"], ["1 of seeds", "not 0"]),
-        (["reproduce", "fig1", "--tasks", "-1"], ["1 of tasks", "not -1"]),
+        (["reproduce", "fig1", "--seeds", "0"], ["0 seeds"]),
+        (["reproduce", "fig1", "--tasks", "-1"], ["-1 tasks"]),
         (["meta-train", "pendulum"], ["'pendulum'", "cartpole"]),
         (["meta-train", "cartpole", "--length", "5", "1"], ["5.0 to 1.0"]),
         (["meta-train", "cartpole", "--length", "-1", "1"], ["-1.0 to 1.0"]),

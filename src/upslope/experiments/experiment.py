@@ -124,7 +124,7 @@ class Experiment(Generic[Settings, Results]):
         for count in ("seeds", "tasks", "iterations"):
             number = getattr(options, count)
             if number is not None and number < 1:
-                raise UpslopeError(f"A figure needs at least 1 of {count}, not {number}.")
+                raise UpslopeError(f"{number} {count} are too few: give at least 1.")
         if options.panels is None:
             return
         if not self.panels:
