@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from upslope.errors import UpslopeError
-from upslope.run.folder import claim, differences
+from upslope.run.folder import claim, differences, summary
 
 
 def claim_and_leave(folder, *args, **kwargs):
@@ -114,3 +114,12 @@ class TestOneWriter:
 def _hold_and_die(folder):
     with claim(folder, "test"):
         os._exit(7)
+
+
+def test_many_differences_are_summed_up():
+    """As between the settings of two versions: the first ones are named, and the others counted."""
+    there, here = ({f"setting{i}": i + start for i in range(9)} for start in (0, 1))
+    found = differences(there, here)
+    assert len(found) == 9
+    assert summary(found[:3]) == "setting0 was 0, is now 1; setting1 was 1, is now 2; setting2 was 2, is now 3"
+    assert summary(found).startswith("setting0 was 0, is now 1; setting1 was 1, is now 2; and 7 more")

@@ -16,7 +16,7 @@ import numpy as np
 from upslope import storage
 from upslope.errors import DamagedFileError, NotSavedError, UpslopeError
 from upslope.learners.learner import AbstractLearner
-from upslope.run.folder import differences
+from upslope.run.folder import differences, summary
 from upslope.run.health import first_not_finite
 from upslope.run.position import Position, from_arrays, to_arrays, to_numpy
 from upslope.types import Keys
@@ -160,7 +160,7 @@ class Stage:
         found = differences(header, self._description)
         if found:
             raise UpslopeError(
-                f"{path} is from a run with other settings ({'; '.join(found)}): "
+                f"{path} is from a run with other settings ({summary(found)}): "
                 "resume with the settings that it was started with, or start a new run in another folder."
             )
         bad = None if allow_divergence else first_not_finite(arrays)

@@ -115,9 +115,21 @@ def _check_same(folder: Path, description: dict[str, Any]) -> None:
     found = differences(there, description)
     if found:
         raise UpslopeError(
-            f"{folder} holds a run with other settings ({'; '.join(found)}): "
+            f"{folder} holds a run with other settings ({summary(found)}): "
             "give the settings that it was started with, or another folder with --out."
         )
+
+
+#: More differences than this are those of another form of the settings, not of a wrong option.
+_MOST_LISTED = 6
+
+
+def summary(found: list[str]) -> str:
+    """The differences in one phrase, all of them or only the first ones."""
+    if len(found) <= _MOST_LISTED:
+        return "; ".join(found)
+    listed = "; ".join(found[:2])
+    return f"{listed}; and {len(found) - 2} more: another version of upslope may have started it"
 
 
 def differences(there: Any, here: Any, name: str = "") -> list[str]:
