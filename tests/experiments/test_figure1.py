@@ -41,6 +41,10 @@ TINY = Figure1Config(
 )
 
 
+# CI makes the quick form of the figure by its command; this miniature belongs to `make check-all`.
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def clock() -> CompileClock:
     """Of the compiling for `result`."""

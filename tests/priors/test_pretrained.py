@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from hashlib import sha256
 
 import gymnasium as gym
@@ -25,7 +26,7 @@ PRIOR = upslope.load_prior("cartpole")
 def test_the_file_is_the_one_that_the_command_wrote():
     assert sha256(FILE.read_bytes()).hexdigest() == RESULTS["sha256"]
     assert PRIOR.trained_on.seed == RESULTS["chosen_seed"]
-    assert RESULTS["configuration"] == json.loads(json.dumps(ShippedPriorConfig(), default=vars))
+    assert RESULTS["configuration"] == json.loads(json.dumps(asdict(ShippedPriorConfig())))
 
 
 def test_the_card_is_made_of_the_numbers():
