@@ -1,4 +1,4 @@
-"""Potentials of every kind as plain floats: numpy, JAX, torch, priors; with a batch axis or without; and bad ones."""
+"""Potentials of every kind return plain floats: numpy, JAX, torch, priors; with and without a batch axis; bad ones."""
 
 import gymnasium as gym
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from upslope import UpslopeError
 from upslope.wrappers.evaluation import Evaluator
 
 BOX = Box(-10, 10, (4,), np.float32)
-OBS = np.random.default_rng(0).normal(size=(4, 4)).astype(np.float32)  # as many as coordinates: the trap
+OBS = np.random.default_rng(0).normal(size=(4, 4)).astype(np.float32)  # a square batch: ambiguous
 EXPECTED = -np.abs(OBS[:, 2]).astype(np.float64)
 
 
@@ -90,7 +90,7 @@ class TestPartOfABatch:
             values = Evaluator(potential, BOX).where(mneeded, needed)
             np.testing.assert_allclose(values, np.where(needed, EXPECTED, 0.0), rtol=1e-6)
 
-    def test_batches_keep_their_size_so_that_nothing_is_compiled_again(self):
+    def test_batches_keep_their_size_to_avoid_recompilation(self):
         sizes = []
 
         def potential(obs):
@@ -123,16 +123,16 @@ class TestShapes:
             (Tuple((BOX, Discrete(2))), (OBS[0],), "without the part 1"),
         ],
     )
-    def test_another_than_the_space_says(self, space, obs, words):
+    def test_shapes_that_differ_from_the_space(self, space, obs, words):
         with pytest.raises(UpslopeError, match=words):
             Evaluator(lambda obs: 1.0, space).one(obs)
 
-    def test_of_a_batch(self):
+    def test_batches_that_differ_from_the_space(self):
         space = Dict({"a": BOX})
         with pytest.raises(UpslopeError, match=r"observation\['a'\] of shape \(4, 3\), .* says \(4, 4\)"):
             Evaluator(lambda obs: 1.0, space).many({"a": OBS[:, :3]}, 4)
 
-    def test_what_has_no_shape_is_left_alone(self):
+    def test_observations_without_a_shape_are_unchanged(self):
         assert Evaluator(lambda text: float(len(text)), Text(5)).one("abc") == 3.0
 
 
@@ -162,7 +162,7 @@ class TestBadPotentials:
             evaluator.many(OBS, 4)
 
     @pytest.mark.parametrize("potential", [3.0, None, object(), [1, 2]])
-    def test_what_is_no_function(self, potential):
+    def test_potentials_that_are_not_callable(self, potential):
         with pytest.raises(UpslopeError, match="is not a potential"):
             Evaluator(potential, BOX)
 
@@ -175,7 +175,7 @@ class TestBadPotentials:
         with pytest.raises(UpslopeError, match=r"observations of shape \(4,\), but the environment's"):
             Evaluator(prior, space)
 
-    def test_flattened_observations_fit(self, prior):
+    def test_a_prior_accepts_flattened_observations(self, prior):
         env = gym.wrappers.FlattenObservation(gym.make("CartPole-v1"))
         assert Evaluator(prior, env.observation_space).one(OBS[0]) == pytest.approx(
             float(prior(jnp.asarray(OBS[0]))), rel=1e-5

@@ -1,4 +1,4 @@
-"""The single wrapper: every end of an episode, what info tells, the switch, annealing, copies, and bad input."""
+"""The single wrapper: ends of episodes, contents of info, the switch, annealing, copies, and bad input."""
 
 import copy
 import pickle
@@ -21,22 +21,22 @@ def shaped(*episodes, **settings):
 
 
 def play(env, steps=4):
-    """What every step tells, with a reset after every end."""
-    told = []
+    """Reward and info of every step, with a reset after every end."""
+    transitions = []
     for _ in range(steps):
         _, reward, terminated, truncated, info = env.step(0)
-        told.append((reward, info))
+        transitions.append((reward, info))
         if terminated or truncated:
             env.reset()
-    return told
+    return transitions
 
 
 class TestEnds:
     def test_ordinary_truncated_terminated_and_both_at_once(self):
-        told = play(shaped())
-        np.testing.assert_allclose([info["shaping_reward"] for _, info in told], F, rtol=1e-6)
-        np.testing.assert_allclose([reward for reward, _ in told], np.add(RAW, F), rtol=1e-6)
-        assert [info["raw_reward"] for _, info in told] == list(RAW)
+        transitions = play(shaped())
+        np.testing.assert_allclose([info["shaping_reward"] for _, info in transitions], F, rtol=1e-6)
+        np.testing.assert_allclose([reward for reward, _ in transitions], np.add(RAW, F), rtol=1e-6)
+        assert [info["raw_reward"] for _, info in transitions] == list(RAW)
 
     def test_potential_is_zero_where_an_episode_terminated_and_kept_where_it_was_truncated(self):
         assert [info["potential"] for _, info in play(shaped())] == [5.0, 7.0, 0.0, 0.0]
@@ -48,15 +48,15 @@ class TestEnds:
         assert (terminated, truncated) == (False, True)
         assert reward == pytest.approx(1 + 0.9 * 5 - 2)
 
-    def test_autoreset_inside_pays_nothing_for_its_dummy_step_and_arms_the_potential(self):
+    def test_a_dummy_step_of_an_inner_autoreset_has_zero_f_and_sets_the_potential(self):
         env = PotentialShaping(Autoreset(Scripted(*EPISODES)), level, GAMMA)
         env.reset(seed=0)
-        told = [env.step(0) for _ in range(6)]
-        added = [info["shaping_reward"] for *_, info in told]
+        transitions = [env.step(0) for _ in range(6)]
+        added = [info["shaping_reward"] for *_, info in transitions]
         np.testing.assert_allclose(added, [F[0], F[1], 0.0, F[2], 0.0, F[3]], rtol=1e-6)
-        assert told[2][4]["potential"] == -1.0
+        assert transitions[2][4]["potential"] == -1.0
 
-    def test_a_reset_in_mid_episode_forgets_the_old_potential(self):
+    def test_a_reset_in_mid_episode_discards_the_old_potential(self):
         env = shaped()
         env.step(0)
         env.reset()
@@ -73,7 +73,7 @@ class TestOutputs:
         assert obs.dtype == np.float32
         assert info["seen"] == 1
 
-    def test_reset_tells_the_potential(self):
+    def test_reset_reports_the_potential(self):
         assert PotentialShaping(Scripted(*EPISODES), level, GAMMA).reset()[1]["potential"] == 2.0
 
     def test_a_monitor_inside_reports_raw_returns(self):
@@ -82,7 +82,7 @@ class TestOutputs:
         env.step(0)
         assert env.step(0)[4]["episode"]["r"] == pytest.approx(RAW[0] + RAW[1])
 
-    def test_a_wrapper_around_a_wrapper_adds_both_up(self):
+    def test_nested_wrappers_add_both_shaping_rewards(self):
         env = PotentialShaping(shaped(), lambda obs: 2 * obs[0] + 1, GAMMA)
         env.reset(seed=0)
         env.env.env.at = 0
@@ -94,12 +94,12 @@ class TestOutputs:
         assert reward == pytest.approx(RAW[2] - both[0])
         assert info["potential"] == 0.0
 
-    def test_info_of_the_environment_with_the_same_name_is_no_shaping(self):
-        class Telling(Scripted):
+    def test_info_keys_of_the_environment_are_not_taken_for_shaping(self):
+        class WithInfo(Scripted):
             def step(self, action):
                 return (*super().step(action)[:4], {"potential": "a word", "raw_reward": "another"})
 
-        env = PotentialShaping(Telling(*EPISODES), level, GAMMA)
+        env = PotentialShaping(WithInfo(*EPISODES), level, GAMMA)
         env.reset(seed=0)
         info = env.step(0)[4]
         assert (info["potential"], info["raw_reward"]) == (5.0, 0.5)
@@ -107,26 +107,30 @@ class TestOutputs:
 
 class TestScaleBiasSwitchAnnealing:
     def test_scale_and_bias(self):
-        told = play(shaped(scale=2.0, bias=10.0))
+        transitions = play(shaped(scale=2.0, bias=10.0))
         potentials = np.array([[14.0, 20.0], [20.0, 24.0], [8.0, 0.0], [18.0, 0.0]])
-        np.testing.assert_allclose([info["shaping_reward"] for _, info in told], potentials @ [-1.0, GAMMA], rtol=1e-6)
+        np.testing.assert_allclose(
+            [info["shaping_reward"] for _, info in transitions], potentials @ [-1.0, GAMMA], rtol=1e-6
+        )
 
     def test_the_switch_takes_effect_at_the_next_reset(self):
         env = shaped()
         env.enabled = False
-        told = play(env)
-        np.testing.assert_allclose([info["shaping_reward"] for _, info in told], [F[0], F[1], 0.0, 0.0], rtol=1e-6)
-        assert [reward for reward, _ in told[2:]] == list(RAW[2:])
+        transitions = play(env)
+        np.testing.assert_allclose(
+            [info["shaping_reward"] for _, info in transitions], [F[0], F[1], 0.0, 0.0], rtol=1e-6
+        )
+        assert [reward for reward, _ in transitions[2:]] == list(RAW[2:])
         env.enabled = True
         env.reset()
         assert env.step(0)[4]["shaping_reward"] == pytest.approx(F[2])
 
-    def test_off_from_the_start_changes_nothing_and_asks_nothing_of_the_potential(self):
+    def test_when_off_from_the_start_rewards_are_raw_and_the_potential_is_not_evaluated(self):
         env = PotentialShaping(Scripted(*EPISODES), lambda obs: 1 / 0, GAMMA, enabled=False)
         env.reset(seed=0)
         assert [reward for reward, _ in play(env)] == list(RAW)
 
-    def test_annealing_weighs_each_potential_by_its_own_time(self):
+    def test_annealing_weights_each_potential_by_its_own_time_step(self):
         env = shaped((2.0, [Step(5.0), Step(7.0), Step(9.0, truncated=True)]), anneal_steps=2)
         added = [info["shaping_reward"] for _, info in play(env, 3)]
         np.testing.assert_allclose(added, [0.9 * 0.5 * 5 - 1.0 * 2, 0.0 - 0.5 * 5, 0.0], rtol=1e-6)
@@ -136,13 +140,13 @@ class TestScaleBiasSwitchAnnealing:
         added = [info["shaping_reward"] for _, info in play(env, 4)]
         assert np.sum(GAMMA ** np.arange(4) * added) == pytest.approx(-2.0)
 
-    def test_each_says_what_it_keeps_of_policy_invariance(self):
+    def test_each_documents_whether_it_is_policy_invariant(self):
         assert "Thm. 2.1" in shaped().invariance
         assert "not policy-invariant" in shaped(anneal_steps=5).invariance
 
 
 class TestCopies:
-    def test_copies_go_on_from_the_same_place(self):
+    def test_copies_continue_from_the_same_state(self):
         env = shaped()
         env.step(0)
         for twin in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
@@ -151,7 +155,7 @@ class TestCopies:
 
 class TestBadInput:
     @pytest.mark.parametrize("gamma", [0.0, -0.5, 1.01, float("nan")])
-    def test_no_discount(self, gamma):
+    def test_invalid_discounts(self, gamma):
         with pytest.raises(UpslopeError, match="gamma is"):
             PotentialShaping(Scripted(*EPISODES), level, gamma)
 
@@ -159,12 +163,12 @@ class TestBadInput:
         with pytest.raises(TypeError, match="gamma"):
             PotentialShaping(Scripted(*EPISODES), level)
 
-    def test_another_gamma_than_the_prior_s(self, prior):
+    def test_a_gamma_that_differs_from_the_prior_s(self, prior):
         with pytest.raises(UpslopeError, match=r"gamma is 0.99, but the prior was learned with 0.98"):
             PotentialShaping(gym.make("CartPole-v1"), prior, 0.99)
 
     @pytest.mark.parametrize("settings", [{"scale": float("inf")}, {"bias": float("nan")}, {"anneal_steps": 0}])
-    def test_settings_that_make_no_shaping(self, settings):
+    def test_invalid_settings(self, settings):
         with pytest.raises(UpslopeError, match=next(iter(settings))):
             shaped(**settings)
 
@@ -197,7 +201,7 @@ class TestBadInput:
 
 
 def walk(seed, gamma, actions):
-    """Plays a random walk, and recomputes F of every step from the observations alone."""
+    """Runs a random walk and recomputes F of every step from the observations alone."""
 
     def potential(obs):
         return 3.0 * np.sin(float(obs[0])) + float(obs[1])

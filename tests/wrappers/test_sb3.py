@@ -69,7 +69,7 @@ class TestWrapper:
                 assert info["shaping_reward"] == pytest.approx(ahead - phi(obs[i]), abs=1e-12)
             obs = following
 
-    def test_around_shaped_environments_both_add_up(self):
+    def test_around_shaped_environments_both_shaping_rewards_are_added(self):
         env = PotentialShaping(DummyVecEnv([lambda: Single(Scripted(*EPISODES), level, GAMMA)]), level, GAMMA)
         env.reset()
         infos = [env.step(np.zeros(1, int))[3][0] for _ in range(4)]
@@ -93,7 +93,7 @@ class TestWrapper:
         env.step(np.zeros(1, int))
         assert env.step(np.zeros(1, int))[3][0]["episode"]["r"] == pytest.approx(RAW[0] + RAW[1])
 
-    def test_it_tells_its_discount(self):
+    def test_it_exposes_its_discount(self):
         assert PotentialShaping(venv(), level, np.float32(0.5)).gamma == 0.5
 
     def test_the_potential_may_be_undefined_at_terminal_states(self):
@@ -105,7 +105,7 @@ class TestWrapper:
     def test_a_worker_that_dies(self):
         env = PotentialShaping(SubprocVecEnv([Dying, Walk], start_method="spawn"), level, GAMMA)
         env.reset()
-        for _ in range(2):  # and again, when it is known
+        for _ in range(2):  # later calls raise the same error
             with pytest.raises(UpslopeError, match="worker process of the vector environment died"):
                 env.step(np.zeros(2, int))
         assert not any(process.is_alive() for process in env.unwrapped.processes), "no process is left behind"
@@ -142,7 +142,7 @@ class TestWrapper:
 
 class TestClients:
     @pytest.mark.parametrize("name", ["upslope/CartPole-v0", "upslope/ContinuousCartPole-v0"])
-    def test_its_own_checker_passes(self, name, prior):
+    def test_the_checker_of_stable_baselines3_passes(self, name, prior):
         check_env(Single(gym.make(name), prior, 0.98))
 
     @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Shaping where batches are drawn: the replay buffer of Stable-Baselines3, for potentials that move."""
+"""Shaping of sampled batches: the replay buffer for Stable-Baselines3, for potentials that change."""
 
 import warnings
 
@@ -40,7 +40,7 @@ class TestReplay:
             obs = following
         return buffer
 
-    def test_raw_rewards_are_stored_and_f_is_added_when_a_batch_is_drawn(self):
+    def test_raw_rewards_are_stored_and_f_is_added_when_a_batch_is_sampled(self):
         buffer = self.filled()
         batch = buffer._get_samples(np.arange(150))
         terminated = batch.dones.numpy()[:, 0]
@@ -57,7 +57,7 @@ class TestReplay:
         ]
         np.testing.assert_allclose(batch.rewards.numpy()[:, 0], expected, rtol=1e-5, atol=1e-5)
 
-    def test_a_potential_that_moves_shapes_all_of_a_batch_with_one_version(self):
+    def test_a_changing_potential_shapes_a_whole_batch_with_one_version(self):
         buffer = self.filled()
         first = buffer._get_samples(np.arange(150)).rewards.numpy()[:, 0]
         buffer.potential = lambda obs: 2.0 * phi(obs)
@@ -81,13 +81,13 @@ class TestReplay:
         buffer.add(np.array([0]), np.array([1]), np.array([0]), np.array([7.0]), np.array([False]), [{}])
         assert buffer.sample(1).rewards.item() == pytest.approx(7 + GAMMA * 5 - 1)
 
-    def test_every_batch_brings_the_discount_of_f(self):
+    def test_every_batch_contains_the_discount_of_f(self):
         batch = self.filled(gamma=0.5)._get_samples(np.arange(150))
         assert batch.discounts.shape == batch.rewards.shape
         assert np.all(batch.discounts.numpy() == 0.5)
 
     def test_a_learner_bootstraps_with_the_discount_of_f(self):
-        def learned(own, buffer_s):
+        def train(own, buffer_s):
             model = sb3.DQN(
                 "MlpPolicy", Walk(), gamma=own, learning_starts=20, replay_buffer_class=ShapedReplayBuffer,
                 replay_buffer_kwargs={"potential": phi, "gamma": buffer_s}, policy_kwargs={"net_arch": [8]},
@@ -96,10 +96,10 @@ class TestReplay:
             model.learn(60)
             return model.q_net.q_net[0].weight.detach().numpy()
 
-        np.testing.assert_array_equal(learned(0.99, 0.5), learned(0.5, 0.5))
-        assert np.any(learned(0.9, 0.9) != learned(0.5, 0.5))
+        np.testing.assert_array_equal(train(0.99, 0.5), train(0.5, 0.5))
+        assert np.any(train(0.9, 0.9) != train(0.5, 0.5))
 
-    def test_returns_of_many_steps_are_refused(self):
+    def test_n_step_returns_are_refused(self):
         with pytest.raises(UpslopeError, match="n_steps is 3, but ShapedReplayBuffer gives returns of one step"):
             self.buffer(n_steps=3)
 

@@ -1,4 +1,4 @@
-"""`upslope.shape` returns the wrapper that fits the environment, with its settings and one documentation."""
+"""`upslope.shape` returns the wrapper that fits the environment; all wrappers document the same settings."""
 
 import inspect
 import subprocess
@@ -40,7 +40,7 @@ class TestKinds:
         assert envs.step(np.zeros(2, int))[3][1]["shaping_reward"] == pytest.approx(2 * F[0])
 
     @pytest.mark.parametrize("env", [None, "CartPole-v1", level])
-    def test_anything_else_is_one_clear_error(self, env):
+    def test_anything_else_raises_a_clear_error(self, env):
         with pytest.raises(upslope.UpslopeError, match=r"Gymnasium environment.*VecEnv"):
             upslope.shape(env, level, GAMMA)
 

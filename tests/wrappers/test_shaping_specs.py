@@ -1,4 +1,4 @@
-"""Specs of shaped environments: they round-trip through Gymnasium with whatever the potential is."""
+"""Specs of shaped environments: they round-trip through Gymnasium for every kind of potential."""
 
 import pickle
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Φ is asked only where it counts: it may be undefined at terminal states, and is left alone while switched off."""
+"""Φ is evaluated only where it is needed: not at terminal states, and not while shaping is switched off."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def vector(mode, potential, *scripts, **settings):
 
 
 def play(env, steps=9):
-    """F of every step; where nothing resets by itself, the ended ones are reset by the mask."""
+    """F of every step; with autoreset disabled, ended environments are reset by a mask."""
     added = []
     for _ in range(steps):
         _, _, terminated, truncated, infos = env.step(np.zeros(env.num_envs, int))
@@ -41,14 +41,14 @@ def play(env, steps=9):
 
 @pytest.mark.parametrize("potential", [one, batch])
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_undefined_at_terminal_states_pays_the_same(mode, potential):
+def test_undefined_at_terminal_states_gives_the_same_f(mode, potential):
     added = play(vector(mode, potential))
     np.testing.assert_array_equal(added, play(vector(mode, level)))
     np.testing.assert_allclose(added[0], [F[0], F[2]], rtol=1e-6)
     assert {round(value, 4) for value in added.ravel()} >= {round(value, 4) for value in F}, "every end was met"
 
 
-def test_undefined_at_terminal_states_pays_the_same_in_single_environments():
+def test_undefined_at_terminal_states_gives_the_same_f_in_single_environments():
     env = Single(Scripted(*EPISODES), one, GAMMA)
     added = []
     for episode in EPISODES:
@@ -57,7 +57,7 @@ def test_undefined_at_terminal_states_pays_the_same_in_single_environments():
     np.testing.assert_allclose(added, F, rtol=1e-6)
 
 
-def test_a_reset_of_some_asks_nothing_about_the_ended_others():
+def test_a_partial_reset_does_not_evaluate_the_other_ended_environments():
     env = vector(AutoresetMode.DISABLED, one, EPISODES[1:2], EPISODES[1:2])
     np.testing.assert_allclose(play_without_resets(env), [F[2], F[2]], rtol=1e-6)
     _, infos = env.reset(options={"reset_mask": np.array([True, False])})
@@ -72,7 +72,7 @@ def play_without_resets(env):
 
 @pytest.mark.parametrize("settings", [{"enabled": False}, {"scale": 0.5, "anneal_steps": 1}])
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_nothing_is_asked_while_nothing_is_paid(mode, settings):
+def test_the_potential_is_not_evaluated_while_shaping_is_off(mode, settings):
     asked = []
 
     def recording(obs):
@@ -92,8 +92,8 @@ def test_nothing_is_asked_while_nothing_is_paid(mode, settings):
         assert asked
 
 
-def test_the_switch_asks_only_about_those_that_are_shaped():
-    """One goes on with its shaped episode; the other has begun one that is not shaped."""
+def test_the_switch_evaluates_only_shaped_environments():
+    """One environment continues its shaped episode; the other has started an unshaped one."""
     asked = []
 
     def recording(obs):
@@ -102,7 +102,7 @@ def test_the_switch_asks_only_about_those_that_are_shaped():
 
     env = vector(AutoresetMode.SAME_STEP, recording)
     env.enabled = False
-    env.step(np.zeros(2, int))  # the second ends, and begins at 4
+    env.step(np.zeros(2, int))  # the second ends and restarts at 4
     asked.clear()
     infos = env.step(np.zeros(2, int))[4]  # the first is truncated at 7
     assert asked == [7.0]

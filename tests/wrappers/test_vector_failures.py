@@ -1,4 +1,4 @@
-"""Vector environments that fail under the twin: workers that die, and observations that change their shape."""
+"""Vector environments that fail inside the vector wrapper: dead workers, and observations that change shape."""
 
 import gc
 import os
@@ -16,14 +16,14 @@ from upslope.wrappers.vector import PotentialShaping
 
 
 class Dying(Walk):
-    """Its process is gone at the first step."""
+    """Its process exits at the first step."""
 
     def step(self, action):
         os._exit(1)
 
 
 class Reshaping(Walk):
-    """After its first observation it shows others: longer by so many coordinates."""
+    """After the first, its observations are longer by ``more`` coordinates."""
 
     def __init__(self, more=1):
         self.more = more
@@ -34,7 +34,7 @@ class Reshaping(Walk):
 
 
 class Parts(Scripted):
-    """Shows its observation as a part of a dictionary."""
+    """Returns its observation inside a dictionary."""
 
     observation_space = gym.spaces.Dict({"place": Scripted.observation_space})
 
@@ -54,7 +54,7 @@ class Changing(Parts):
 
 
 class TestDeadWorkers:
-    def test_one_clear_error_and_then_another_and_closing_is_quiet(self):
+    def test_each_call_raises_a_clear_error_and_closing_is_quiet(self):
         env = PotentialShaping(AsyncVectorEnv([Dying, Walk], context="spawn"), level, GAMMA)
         env.reset(seed=0)
         with pytest.raises(UpslopeError, match="worker process of the vector environment died"):
@@ -68,7 +68,7 @@ class TestDeadWorkers:
         del env
         gc.collect()  # an exception here would be a warning, and so an error
 
-    def test_a_worker_that_died_between_two_steps_does_not_keep_from_closing(self):
+    def test_closing_works_after_a_worker_died_between_two_steps(self):
         env = PotentialShaping(AsyncVectorEnv([Walk, Walk], context="spawn"), level, GAMMA)
         env.reset(seed=0)
         env.unwrapped.processes[0].kill()
@@ -77,7 +77,7 @@ class TestDeadWorkers:
         assert env.closed
         assert not any(process.is_alive() for process in env.unwrapped.processes)
 
-    def test_living_ones_are_closed_as_ever(self):
+    def test_living_workers_are_closed_as_usual(self):
         env = PotentialShaping(AsyncVectorEnv([Walk], context="spawn"), level, GAMMA)
         env.reset(seed=0)
         env.close()
@@ -94,15 +94,15 @@ class TestChangingShapes:
         with pytest.raises(UpslopeError, match="another shape than its observation space says"):
             env.step(np.zeros(1 + others, int))
 
-    @pytest.mark.filterwarnings("ignore:.*ERROR")  # Gymnasium shows what the worker raised
-    def test_in_processes_of_their_own(self):
+    @pytest.mark.filterwarnings("ignore:.*ERROR")  # Gymnasium logs the worker's exception
+    def test_in_worker_processes(self):
         env = PotentialShaping(AsyncVectorEnv([Reshaping], context="spawn"), level, GAMMA)
         env.reset(seed=0)
         with pytest.raises(UpslopeError, match=r"another shape than its observation space says .*could not broadcast"):
             env.step(np.zeros(1, int))
         env.close()
 
-    def test_other_errors_of_values_stay_what_they_are(self):
+    def test_other_value_errors_are_unchanged(self):
         def failing():
             raise ValueError("an error of the simulator")
 
@@ -121,7 +121,7 @@ class TestPartsOfObservations:
     def potential(self, obs):
         return obs["place"][0]
 
-    def test_right_ones_are_shaped(self):
+    def test_valid_parts_are_shaped(self):
         env = Single(Parts(*EPISODES), self.potential, GAMMA)
         env.reset(seed=0)
         assert env.step(0)[4]["shaping_reward"] == pytest.approx(0.9 * 5 - 2)

@@ -1,4 +1,4 @@
-"""The vector twin: three autoreset modes, Sync and Async, against what the single wrapper pays; and bad input."""
+"""The vector wrapper: three autoreset modes, Sync and Async, compared with the single wrapper; and bad input."""
 
 from collections import Counter
 
@@ -12,7 +12,7 @@ from upslope import PotentialShaping as Single
 from upslope import UpslopeError
 from upslope.wrappers.vector import PotentialShaping
 
-#: A second script that goes through the same episodes one step out of turn.
+#: A second script with the same episodes, shifted by one step.
 SHIFTED = (EPISODES[1], EPISODES[2], EPISODES[0])
 #: Terminated and truncated, in every combination.
 ENDS = [(False, False), (False, True), (True, False), (True, True)]
@@ -32,7 +32,7 @@ def scripts(mode, **settings):
 
 
 def play(env, steps):
-    """F of every step ``[steps, n]``; where nothing resets by itself, the ended ones are reset by the mask."""
+    """F of every step ``[steps, n]``; with autoreset disabled, ended environments are reset by a mask."""
     added = []
     for _ in range(steps):
         _, _, terminated, truncated, infos = env.step(np.zeros(env.num_envs, int))
@@ -44,17 +44,17 @@ def play(env, steps):
 
 
 class TestModes:
-    def test_next_step_pays_nothing_for_dummy_steps(self):
+    def test_dummy_steps_of_next_step_mode_have_zero_f(self):
         expected = [[F[0], F[2]], [F[1], 0.0], [0.0, F[3]], [F[2], 0.0], [0.0, F[0]], [F[3], F[1]]]
         np.testing.assert_allclose(play(scripts(NEXT), 6), expected, rtol=1e-6)
 
     @pytest.mark.parametrize("mode", [SAME, OFF])
-    def test_every_step_is_a_transition_where_resets_take_none(self, mode):
+    def test_every_step_is_a_transition_in_modes_without_dummy_steps(self, mode):
         expected = [[F[0], F[2]], [F[1], F[3]], [F[2], F[0]], [F[3], F[1]], [F[0], F[2]]]
         np.testing.assert_allclose(play(scripts(mode), 5), expected, rtol=1e-6)
 
     @pytest.mark.parametrize("mode", list(AutoresetMode))
-    def test_a_reset_of_all_arms_all(self, mode):
+    def test_a_full_reset_sets_every_potential(self, mode):
         env = scripts(mode)
         play(env, 1)
         env.reset()
@@ -63,7 +63,7 @@ class TestModes:
         np.testing.assert_allclose(play(env, 1)[0], expected, rtol=1e-6)
 
     @pytest.mark.parametrize("mode", list(AutoresetMode))
-    def test_info_tells_raw_reward_f_and_the_potential_that_counted(self, mode):
+    def test_info_reports_the_raw_reward_f_and_the_potential(self, mode):
         env = scripts(mode)
         _, rewards, _, _, infos = env.step(np.zeros(2, int))
         np.testing.assert_array_equal(infos["raw_reward"], [RAW[0], RAW[2]])
@@ -71,7 +71,7 @@ class TestModes:
         np.testing.assert_array_equal(infos["potential"], [5.0, 0.0])
         assert all(infos[f"_{key}"].all() for key in ("raw_reward", "shaping_reward", "potential"))
 
-    def test_reset_tells_the_potential(self):
+    def test_reset_reports_the_potential(self):
         env = PotentialShaping(SyncVectorEnv([lambda: Scripted(*EPISODES)] * 2), level, GAMMA)
         _, infos = env.reset()
         np.testing.assert_array_equal(infos["potential"], [2.0, 2.0])
@@ -80,7 +80,7 @@ class TestModes:
 
 class TestSwitchAndAnnealing:
     @pytest.mark.parametrize("mode", list(AutoresetMode))
-    def test_the_switch_takes_effect_at_each_one_s_reset(self, mode):
+    def test_the_switch_takes_effect_at_each_environment_s_reset(self, mode):
         env = scripts(mode)
         env.enabled = False
         added = play(env, 4)
@@ -89,7 +89,7 @@ class TestSwitchAndAnnealing:
         env.enabled = True
         assert np.any(play(env, 4) != 0.0)
 
-    def test_annealing_weighs_each_potential_by_its_own_time(self):
+    def test_annealing_weights_each_potential_by_its_own_time_step(self):
         added = play(scripts(SAME, anneal_steps=4), 2)
         np.testing.assert_allclose(added, [[0.75 * 0.9 * 5 - 2, 1.0], [0.5 * 0.9 * 7 - 0.75 * 5, -0.75 * 4]], rtol=1e-6)
 
@@ -100,7 +100,7 @@ class TestSwitchAndAnnealing:
 
 class TestInsideAndAround:
     @pytest.mark.parametrize("mode", list(AutoresetMode))
-    def test_around_shaped_sub_environments_both_add_up(self, mode):
+    def test_around_shaped_sub_environments_both_shaping_rewards_are_added(self, mode):
         env = SyncVectorEnv([lambda: Single(Scripted(*EPISODES), level, GAMMA)] * 2, autoreset_mode=mode)
         env = PotentialShaping(env, lambda obs: 2 * obs[0], GAMMA)
         env.reset(seed=0)
@@ -111,7 +111,7 @@ class TestInsideAndAround:
         expected = [(RAW[i] + 3 * F[i], RAW[i], 3 * F[i], 3 * phi) for i, phi in ((0, 5.0), (1, 7.0))]
         np.testing.assert_allclose(seen, expected, rtol=1e-6)
 
-    def test_around_another_twin(self):
+    def test_around_another_vector_wrapper(self):
         env = PotentialShaping(scripts(SAME), lambda obs: 2 * obs[0], GAMMA)
         env.reset(seed=0)
         _, rewards, _, _, infos = env.step(np.zeros(2, int))
@@ -122,8 +122,8 @@ class TestInsideAndAround:
         np.testing.assert_allclose(rewards, np.take(RAW, index) + 3 * np.take(F, index), rtol=1e-6)
 
 
-def recorded(env, steps, seed):
-    """Plays random actions and recomputes F from the observations alone; counts the transitions of each kind."""
+def run_and_check(env, steps, seed):
+    """Takes random actions and recomputes F from the observations alone; counts the transitions of each kind."""
     obs, _ = env.reset(seed=seed)
     mode, actions = env.metadata["autoreset_mode"], np.random.default_rng(seed)
     resetting = np.zeros(env.num_envs, bool)
@@ -151,7 +151,7 @@ def sequences(mode, count, steps):
     for seed in range(count):
         gamma = (0.5, 0.9, 1.0)[seed % 3]
         env = PotentialShaping(SyncVectorEnv([Walk] * 3, autoreset_mode=mode), potential, gamma)
-        kinds += recorded(env, steps, seed)
+        kinds += run_and_check(env, steps, seed)
     return kinds
 
 
@@ -175,8 +175,8 @@ def test_thousands_of_random_sequences_against_a_plain_recomputation(mode):
 @pytest.mark.parametrize(
     "mode", [SAME, *(pytest.param(mode, marks=pytest.mark.slow) for mode in AutoresetMode if mode != SAME)]
 )
-def test_worker_processes_pay_the_same(mode, prior):
-    """Async around single wrappers (which are pickled), the twin around Async, and the twin around Sync."""
+def test_worker_processes_give_the_same_rewards(mode, prior):
+    """Async around (pickled) single wrappers, the vector wrapper around Async, and the vector wrapper around Sync."""
 
     def pole(inside):
         env = gym.make("CartPole-v1", max_episode_steps=9)
@@ -188,7 +188,7 @@ def test_worker_processes_pay_the_same(mode, prior):
         PotentialShaping(AsyncVectorEnv([lambda: pole(False)] * 2, **spawned), prior, 0.98),
         PotentialShaping(SyncVectorEnv([lambda: pole(False)] * 2, autoreset_mode=mode), prior, 0.98),
     ]
-    told = []
+    rewards_by_kind = []
     for env in envs:
         env.reset(seed=3)
         rewards = []
@@ -198,10 +198,10 @@ def test_worker_processes_pay_the_same(mode, prior):
             if mode is OFF and (terminated | truncated).any():
                 env.reset(options={"reset_mask": terminated | truncated})
         env.close()
-        told.append(rewards)
-    np.testing.assert_allclose(told[0], told[2], atol=1e-9)
-    np.testing.assert_allclose(told[1], told[2], atol=1e-9)
-    assert np.unique(np.round(told[2], 6)).size > 20
+        rewards_by_kind.append(rewards)
+    np.testing.assert_allclose(rewards_by_kind[0], rewards_by_kind[2], atol=1e-9)
+    np.testing.assert_allclose(rewards_by_kind[1], rewards_by_kind[2], atol=1e-9)
+    assert np.unique(np.round(rewards_by_kind[2], 6)).size > 20
 
 
 class TestBadInput:
@@ -218,7 +218,7 @@ class TestBadInput:
         with pytest.raises(UpslopeError, match="hides the final observation"):
             env.step(np.zeros(1, int))
 
-    def test_an_unknown_way_of_resetting(self):
+    def test_an_unknown_autoreset_mode(self):
         env = SyncVectorEnv([Walk])
         env.metadata = {}
         with pytest.raises(UpslopeError, match="does not say how it resets"):
@@ -228,7 +228,7 @@ class TestBadInput:
         with pytest.raises(UpslopeError, match=r"upslope\.shape"):
             PotentialShaping(Walk(), level, GAMMA)
 
-    def test_another_gamma_than_the_prior_s(self, prior):
+    def test_a_gamma_that_differs_from_the_prior_s(self, prior):
         with pytest.raises(UpslopeError, match=r"gamma is 0\.9, but"):
             PotentialShaping(gym.make_vec("CartPole-v1", 2), prior, 0.9)
 

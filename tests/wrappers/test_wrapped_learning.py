@@ -1,4 +1,4 @@
-"""What learners get from a shaped environment over many steps: n-step returns, repeated actions, Q-learning."""
+"""Learning from a shaped environment: n-step returns, repeated actions, Q-learning."""
 
 import gymnasium as gym
 import numpy as np
@@ -25,7 +25,7 @@ class Endless(Walk):
 
 
 class Repeat(gym.Wrapper):
-    """Takes each action k times, and sums up the rewards as a learner that discounts with γ^k wants them."""
+    """Repeats each action k times and returns the discounted sum of rewards, for a learner that discounts by γ^k."""
 
     def __init__(self, env, count):
         super().__init__(env)
@@ -52,7 +52,7 @@ def test_n_step_returns_telescope(steps):
     assert added == pytest.approx(GAMMA**steps * phi(obs) - phi(start), abs=1e-12)
 
 
-def test_repeated_actions_need_the_discount_to_the_power_of_their_number():
+def test_repeated_actions_need_the_discount_to_the_power_of_the_repeat():
     inside = Repeat(PotentialShaping(Endless(), phi, GAMMA), 4)
     outside = PotentialShaping(Repeat(Endless(), 4), phi, GAMMA**4)
     for env in (inside, outside):
@@ -65,7 +65,7 @@ def test_repeated_actions_need_the_discount_to_the_power_of_their_number():
 
 
 class Ring(gym.Env):
-    """Seven places in a ring, with a goal; slips are drawn by the environment's own generator."""
+    """Seven places in a ring, with a goal; the environment's own generator draws the slips."""
 
     observation_space = gym.spaces.Discrete(7)
     action_space = gym.spaces.Discrete(2)
@@ -85,8 +85,8 @@ class Ring(gym.Env):
 TABLE = np.random.default_rng(5).normal(size=7)
 
 
-def learned(env, start, steps, mode=None):
-    """The actions and the table of ε-greedy Q-learning, in one environment or the only one of a vector."""
+def train(env, start, steps, mode=None):
+    """Actions and Q-table of ε-greedy Q-learning in a single environment or a vector of one."""
     rng, q, taken = np.random.default_rng(0), np.repeat(start[:, None], 2, axis=1), []
     state = int(np.ravel(env.reset(seed=7)[0])[0])
     resetting = False
@@ -109,17 +109,17 @@ def learned(env, start, steps, mode=None):
 
 
 @pytest.mark.parametrize("mode", [None, *AutoresetMode])
-def test_shaped_q_learning_acts_as_the_unshaped_that_begins_at_the_potential(mode):
+def test_shaped_q_learning_acts_like_unshaped_q_learning_initialised_with_the_potential(mode):
     """Wiewiora's equivalence through the wrappers, terminations and truncations included, in each autoreset mode."""
 
-    def made(shaped):
+    def make(shaped):
         if mode is None:
             return PotentialShaping(Ring(), lambda place: TABLE[place], GAMMA) if shaped else Ring()
         envs = SyncVectorEnv([Ring], autoreset_mode=mode)
         return VectorShaping(envs, lambda place: TABLE[place], GAMMA) if shaped else envs
 
-    shaped, shaped_q = learned(made(True), np.zeros(7), 3000, mode)
-    unshaped, unshaped_q = learned(made(False), TABLE, 3000, mode)
+    shaped, shaped_q = train(make(True), np.zeros(7), 3000, mode)
+    unshaped, unshaped_q = train(make(False), TABLE, 3000, mode)
     assert shaped == unshaped
     np.testing.assert_allclose(shaped_q[1:] + TABLE[1:, None], unshaped_q[1:], atol=1e-12)
     assert np.abs(shaped_q[1:]).min() > 1e-3, "something must have been learned everywhere"

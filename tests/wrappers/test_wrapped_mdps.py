@@ -1,4 +1,4 @@
-"""Policy invariance, judged by exact planning: random finite MDPs as environments, F as the wrapper pays it."""
+"""Policy invariance, checked by exact planning: random finite MDPs as environments, shaped by the wrapper."""
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +13,7 @@ SCALES = st.sampled_from([0.1, 1.0, 10.0])
 
 
 class FiniteEnv(gym.Env):
-    """A finite MDP that is told where to start, and which successor comes next."""
+    """A finite MDP whose start state and next successor the test chooses."""
 
     def __init__(self, mdp):
         self.mdp = mdp
@@ -31,8 +31,8 @@ class FiniteEnv(gym.Env):
         return np.int64(self.state), float(reward), bool(self.mdp.terminal[self.state]), False, {}
 
 
-def paid(env, mdp):
-    """R + F of every possible transition, as the wrapper pays it."""
+def shaped_rewards(env, mdp):
+    """R + F of every possible transition, as the wrapper returns it."""
     rewards = np.zeros_like(mdp.rewards)
     for state in mdp.ordinary:
         for following in np.flatnonzero(mdp.chances[state].max(0) > 0):
@@ -46,7 +46,7 @@ def invariant(seed, scale):
     """Whether the shaped MDP has the optimal policies of the raw one, and Q* lower by exactly Φ (Eq. 1)."""
     mdp = random_mdp(seed, states=6)
     table = scale * np.random.default_rng(seed).normal(size=6)
-    shaped = paid(PotentialShaping(FiniteEnv(mdp), lambda state: table[state], mdp.gamma), mdp)
+    shaped = shaped_rewards(PotentialShaping(FiniteEnv(mdp), lambda state: table[state], mdp.gamma), mdp)
     raw, optimum = solve(mdp), solve(mdp, shaped - mdp.rewards)
     assert np.any(np.abs(shaped - mdp.rewards)[mdp.ordinary] > 1e-3 * scale), "a silent no-op"
     np.testing.assert_allclose(
@@ -67,8 +67,8 @@ def test_policies_are_invariant_on_a_thousand(seed, scale):
     invariant(seed, scale)
 
 
-def test_an_unzeroed_terminal_potential_would_be_noticed():
-    """The referee can tell: with Φ(terminal) kept, some policies change."""
+def test_a_nonzero_terminal_potential_would_be_noticed():
+    """The check has power: with Φ(terminal) kept, some policies change."""
     changed = 0
     for seed in range(20):
         mdp = random_mdp(seed, states=6)
