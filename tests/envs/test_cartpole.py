@@ -32,8 +32,8 @@ def compare_with_gymnasium(twins, params, tolerance):
     """Random actions from random starts: the same states and the same last step."""
     rng = np.random.default_rng(0)
     starts, actions = rng.uniform(-0.05, 0.05, (COUNT, 4)), rng.integers(2, size=(COUNT, STEPS))
-    told = our_trajectories(params, jnp.asarray(starts), jnp.asarray(actions))
-    ours, rewards, terminated, truncated = map(np.asarray, told)
+    trajectories = our_trajectories(params, jnp.asarray(starts), jnp.asarray(actions))
+    ours, rewards, terminated, truncated = map(np.asarray, trajectories)
     assert np.all(rewards == 1.0)
     for index, twin in enumerate(twins):
         theirs = gymnasium_trajectory(twin, starts[index], actions[index])
@@ -44,7 +44,7 @@ def compare_with_gymnasium(twins, params, tolerance):
 
 
 class TestParityWithGymnasium:
-    # Half of the lengths drawn, the bounds of the range among them.
+    # Half of the lengths are drawn at random; the others include the bounds of the range.
     lengths = np.concatenate([[0.25, 5.0], np.random.default_rng(1).uniform(0.25, 5.0, COUNT - 2)])
 
     def test_at_gymnasium_s_own_parameters(self):
@@ -96,7 +96,7 @@ class TestEndsOfEpisodes:
         assert float(reward) == 1.0
 
     @pytest.mark.parametrize(("time", "expected"), [(198, False), (199, True)])
-    def test_truncation_at_200_steps_is_no_termination(self, time, expected):
+    def test_truncation_at_200_steps_is_not_termination(self, time, expected):
         _, _, _, terminated, truncated, _ = one_step(state(time=time))
         assert bool(truncated) is expected
         assert not terminated
@@ -111,13 +111,13 @@ class TestAutomaticReset:
     @pytest.mark.parametrize("start", [ALMOST_FALLEN, {"angle": 0.2, "time": 199}], ids=["terminated", "truncated"])
     def test_the_true_successor_is_kept_next_to_the_reset_observation(self, start):
         obs, following, _, _, _, info = one_step(state(**start))
-        # Euler: the angle moves by 0.02 s of the spin that there was.
+        # Euler: the angle moves by 0.02 s times the previous spin.
         assert float(info["final_observation"][2]) == pytest.approx(start["angle"] + 0.02 * start.get("spin", 0.0))
         assert np.abs(obs).max() <= 0.05
         assert int(following.time) == 0
         np.testing.assert_array_equal(following.physics, obs)
 
-    def test_an_ordinary_step_goes_on_from_its_successor(self):
+    def test_an_ordinary_step_continues_from_its_successor(self):
         obs, following, _, _, _, info = one_step(state(angle=0.1, time=7))
         np.testing.assert_array_equal(obs, info["final_observation"])
         np.testing.assert_array_equal(following.physics, obs)

@@ -35,7 +35,7 @@ class TestTransitions:
         ],
         ids=["8x8", "3x11", "clean 10x10", "traps", "traps and slipping"],
     )
-    def test_every_cell_and_action_as_in_plain_python(self, family):
+    def test_every_cell_and_action_matches_plain_python(self, family):
         env, maps = family.env, draw(family, 4)
         tables = jax.tree.map(np.asarray, jax.jit(jax.vmap(env.outcomes))(maps))
         acted = 0
@@ -52,14 +52,14 @@ class TestTransitions:
                     continue
                 for action in range(4):
                     expected = plain_outcomes(board, row, column, action, slip=slip, penalty=penalty)
-                    found = as_dictionary(tables, env.width, index, cell, action)
-                    assert found.keys() == expected.keys()
+                    result = as_dictionary(tables, env.width, index, cell, action)
+                    assert result.keys() == expected.keys()
                     for there, outcome in expected.items():
-                        assert found[there] == pytest.approx(outcome)
+                        assert result[there] == pytest.approx(outcome)
                     acted += 1
         assert acted > 150
 
-    def test_a_step_does_what_the_tables_say(self):
+    def test_steps_match_the_tables(self):
         tables = jax.tree.map(np.asarray, GAME.outcomes(SMALL))
         for cell in np.flatnonzero(tables.acting):
             for action in range(4):
@@ -72,16 +72,16 @@ class TestTransitions:
 
 
 def as_dictionary(tables, width, index, cell, action):
-    """The tables' outcomes of one action, equal successors added up."""
-    found = {}
+    """The tables' outcomes of one action, with equal successors merged."""
+    result = {}
     for chance, there, reward, over in zip(
         *(leaf[index, cell, action] for leaf in (tables.probabilities, tables.successors, tables.rewards)),
         tables.terminated[index, cell, action],
         strict=True,
     ):
         key = divmod(int(there), width)
-        found[key] = (found.get(key, (0.0,))[0] + float(chance), float(reward), bool(over))
-    return {key: value for key, value in found.items() if value[0] > 0}
+        result[key] = (result.get(key, (0.0,))[0] + float(chance), float(reward), bool(over))
+    return {key: value for key, value in result.items() if value[0] > 0}
 
 
 class TestEndsOfEpisodes:
@@ -100,10 +100,10 @@ class TestEndsOfEpisodes:
         ],
     )
     def test_by_hand(self, cell, action, there, reward, terminated):
-        _, following, found, ended, truncated, info = one_step(cell, action)
+        _, following, result, ended, truncated, info = one_step(cell, action)
         position = np.asarray(info["final_observation"])[..., POSITION].ravel()
         np.testing.assert_array_equal(position, np.eye(12)[there])
-        assert (float(found), bool(ended), bool(truncated)) == (reward, terminated, False)
+        assert (float(result), bool(ended), bool(truncated)) == (reward, terminated, False)
         assert int(following.cell) == (0 if terminated else there)
         assert int(following.time) == (0 if terminated else 1)
 
@@ -124,8 +124,8 @@ class TestObservations:
     def test_channels_by_hand(self):
         obs = np.asarray(GAME.observe(SMALL, jnp.asarray(6)))
         assert obs.shape == (3, 4, 5)
-        found = {channel: np.flatnonzero(obs[..., channel]).tolist() for channel in range(5)}
-        assert found == {START: [0], GOAL: [11], POSITION: [6], OBSTACLES: [2, 8], TRAPS: [5]}
+        result = {channel: np.flatnonzero(obs[..., channel]).tolist() for channel in range(5)}
+        assert result == {START: [0], GOAL: [11], POSITION: [6], OBSTACLES: [2, 8], TRAPS: [5]}
         assert set(np.unique(obs)) == {0.0, 1.0}
 
     def test_four_channels_without_traps(self):
@@ -145,7 +145,7 @@ class TestObservations:
             flat.observe(SMALL, jnp.asarray(6)), np.asarray(GAME.observe(SMALL, jnp.asarray(6))).ravel()
         )
 
-    def test_episodes_start_in_the_start(self):
+    def test_episodes_start_at_the_start_cell(self):
         obs, state = GAME.reset(jax.random.key(3), SMALL)
         np.testing.assert_array_equal(obs, GAME.observe(SMALL, SMALL.start))
         assert (int(state.cell), int(state.time)) == (0, 0)
@@ -155,7 +155,7 @@ class TestSlipping:
     room = read_map("...\n...\n...\nS.G", slip=0.4)
 
     def landings(self, action, count=4000):
-        """How often each cell is reached from the middle of the room."""
+        """The share of steps from the middle of the room that reach each cell."""
         game = GridGame(4, 3, slippery=True)
         start = GridState(jnp.asarray(4), jnp.asarray(0))
         keys = jax.random.split(jax.random.key(action), count)

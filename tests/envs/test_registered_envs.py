@@ -1,4 +1,4 @@
-"""The registered CartPoles: Gymnasium's own checks, pictures, and the very transitions of the compiled ones."""
+"""The registered CartPoles: Gymnasium's checker, rendering, and the same transitions as the compiled ones."""
 
 import subprocess
 import sys
@@ -23,7 +23,7 @@ NAMES = ["upslope/CartPole-v0", "upslope/ContinuousCartPole-v0"]
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("length", [0.25, 5.0])
-def test_gymnasium_s_checker_has_nothing_to_say(name, length, recwarn):
+def test_gymnasium_s_checker_passes_without_warnings(name, length, recwarn):
     env = gym.make(name, length=length, render_mode="rgb_array").unwrapped
     env.spec = gym.spec(name)
     check_env(env)
@@ -85,7 +85,7 @@ def test_make_vec_and_another_limit():
     np.testing.assert_array_equal(ends, [[False] * 3] * 3 + [[True] * 3])
 
 
-def test_pictures_show_the_pole_move():
+def test_rendered_frames_show_the_pole_moving():
     env = gym.make("upslope/CartPole-v0", render_mode="rgb_array")
     env.reset(seed=0, options={"state": [0.0, 0.0, 0.0, 0.0]})
     upright = env.render()
@@ -101,7 +101,7 @@ def test_pictures_show_the_pole_move():
 
 
 @pytest.mark.parametrize("settings", [{"length": 0.0}, {"length": float("nan")}, {"track_limit": -1.0}])
-def test_impossible_poles(settings):
+def test_invalid_poles(settings):
     with pytest.raises(upslope.UpslopeError, match="must be positive"):
         gym.make("upslope/CartPole-v0", **settings)
 
@@ -113,7 +113,7 @@ def test_registering_twice_does_nothing():
 
 
 @pytest.mark.parametrize(("name", "action"), [(NAMES[0], 7), (NAMES[0], -1), (NAMES[1], np.array([np.nan]))])
-def test_actions_that_are_none(name, action):
+def test_invalid_actions(name, action):
     env = gym.make(name, disable_env_checker=True).unwrapped
     env.reset(seed=0)
     with pytest.raises(UpslopeError, match="is not an action of this environment"):
@@ -121,12 +121,12 @@ def test_actions_that_are_none(name, action):
 
 
 @pytest.mark.parametrize("state", [[1, 2], [0, 0, np.nan, 0], 3.0])
-def test_states_that_are_none(state):
+def test_invalid_states(state):
     with pytest.raises(UpslopeError, match="four numbers"):
         gym.make(NAMES[0]).reset(options={"state": state})
 
 
-#: In a process of its own, so that a worker that hangs fails the test, and JAX was not imported by others.
+#: Runs in a separate process, so that a hanging worker fails the test and no other test has imported JAX.
 PLAY = """
 import sys
 import gymnasium as gym
@@ -147,7 +147,7 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize("name", [*NAMES, "upslope/Grid-v0"])
 def test_simulator_processes_need_no_jax(name, tmp_path):
-    """And forked workers, which could inherit the locks of its threads, play on."""
+    """Forked workers, which could inherit the locks of JAX's threads, keep running."""
     (tmp_path / "play.py").write_text(PLAY, encoding="utf-8")
     command = [sys.executable, str(tmp_path / "play.py"), name]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)

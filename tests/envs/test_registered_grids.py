@@ -1,4 +1,4 @@
-"""The registered grid games: Gymnasium's own checks, pictures, and the very transitions of the compiled ones."""
+"""The registered grid games: Gymnasium's checker, rendering, and the same transitions as the compiled ones."""
 
 import gymnasium as gym
 import jax
@@ -20,20 +20,20 @@ TRAPPED = """
 DOWN, RIGHT = 1, 3
 
 
-def made(**settings):
+def make_grid(**settings):
     return gym.make("upslope/Grid-v0", **settings)
 
 
 @pytest.mark.parametrize("settings", [{}, {"map": TRAPPED}, {"map": TRAPPED, "slip": 0.3}, {"flat": True}])
-def test_gymnasium_s_checker_has_nothing_to_say(settings, recwarn):
-    env = made(render_mode="rgb_array", **settings).unwrapped
+def test_gymnasium_s_checker_passes_without_warnings(settings, recwarn):
+    env = make_grid(render_mode="rgb_array", **settings).unwrapped
     env.spec = gym.spec("upslope/Grid-v0")
     check_env(env)
     assert [str(warning.message) for warning in recwarn] == []
 
 
-def test_every_cell_and_action_as_in_the_compiled_game():
-    host, params = made(map=TRAPPED, trap_penalty=0.5), read_map(TRAPPED, trap_penalty=0.5)
+def test_every_cell_and_action_matches_the_compiled_game():
+    host, params = make_grid(map=TRAPPED, trap_penalty=0.5), read_map(TRAPPED, trap_penalty=0.5)
     compiled = jax.jit(GridGame(3, 4, traps=True).step)
     tried = 0
     for cell in (0, 1, 3, 4, 6, 7, 9, 10):
@@ -49,16 +49,16 @@ def test_every_cell_and_action_as_in_the_compiled_game():
 
 
 def test_slipping_goes_to_both_sides_with_the_given_probability():
-    env = made(map="...\nS..\n..G", slip=0.4)
+    env = make_grid(map="...\nS..\n..G", slip=0.4)
     env.reset(seed=0)
-    seen = []
+    visits = []
     for _ in range(2000):
         env.reset(options={"cell": 4})
         env.step(RIGHT)
-        seen.append(env.unwrapped._cell)
-    assert np.mean(np.array(seen) == 5) == pytest.approx(0.6, abs=0.04)
-    assert np.mean(np.array(seen) == 1) == pytest.approx(0.2, abs=0.04)
-    assert np.mean(np.array(seen) == 7) == pytest.approx(0.2, abs=0.04)
+        visits.append(env.unwrapped._cell)
+    assert np.mean(np.array(visits) == 5) == pytest.approx(0.6, abs=0.04)
+    assert np.mean(np.array(visits) == 1) == pytest.approx(0.2, abs=0.04)
+    assert np.mean(np.array(visits) == 7) == pytest.approx(0.2, abs=0.04)
 
 
 def test_a_task_of_a_family_becomes_an_environment():
@@ -67,19 +67,19 @@ def test_a_task_of_a_family_becomes_an_environment():
     again = read_map(text)
     for name in ("obstacles", "traps", "start", "goal"):
         np.testing.assert_array_equal(getattr(again, name), getattr(task, name))
-    obs, _ = made(map=text).reset(seed=0)
+    obs, _ = make_grid(map=text).reset(seed=0)
     np.testing.assert_array_equal(obs, GridGame(8, 8).observe(task, task.start))
 
 
 def test_a_prior_shapes_it():
-    env = upslope.PotentialShaping(made(map="S..\n..G"), lambda obs: float(obs[1, 2, 2]), gamma=0.9)
+    env = upslope.PotentialShaping(make_grid(map="S..\n..G"), lambda obs: float(obs[1, 2, 2]), gamma=0.9)
     env.reset(seed=0)
     rewards = [env.step(action)[1] for action in (DOWN, RIGHT, RIGHT)]
     assert rewards == pytest.approx([0.0, 0.0, 1.0])  # terminal states have no potential
 
 
 def test_truncated_after_fifty_steps():
-    env = made()
+    env = make_grid()
     env.reset(seed=0)
     ends = [env.step(0)[2:4] for _ in range(50)]
     assert ends == [(False, False)] * 49 + [(False, True)]
@@ -95,8 +95,8 @@ def test_make_vec_and_rows_as_a_list():
     np.testing.assert_array_equal(terminated, [True, False])
 
 
-def test_pictures_and_text_show_where_one_stands():
-    env = made(map="S.G", render_mode="rgb_array")
+def test_rendering_shows_the_position():
+    env = make_grid(map="S.G", render_mode="rgb_array")
     env.reset(seed=0)
     before = env.render()
     assert before.shape == (40, 120, 3)
@@ -104,11 +104,11 @@ def test_pictures_and_text_show_where_one_stands():
     env.step(RIGHT)
     changed = np.flatnonzero(np.any(env.render() != before, axis=(0, 2)))
     assert changed.min() < 40 <= changed.max() < 80
-    written = made(map="S.G", render_mode="ansi").unwrapped
-    written.reset(seed=0)
-    written.step(RIGHT)
-    assert written.render() == "S@G"
-    assert made(map="S.G").unwrapped.render() is None
+    text_env = make_grid(map="S.G", render_mode="ansi").unwrapped
+    text_env.reset(seed=0)
+    text_env.step(RIGHT)
+    assert text_env.render() == "S@G"
+    assert make_grid(map="S.G").unwrapped.render() is None
 
 
 @pytest.mark.parametrize(
@@ -122,11 +122,11 @@ def test_pictures_and_text_show_where_one_stands():
         ({"map": "S.G", "trap_penalty": -1.0}, "traps cost something"),
     ],
 )
-def test_texts_that_are_not_maps(settings, words):
+def test_invalid_maps(settings, words):
     with pytest.raises(upslope.UpslopeError, match=words):
-        made(**settings)
+        make_grid(**settings)
 
 
-def test_an_episode_begins_where_something_can_be_done():
+def test_an_episode_cannot_start_in_an_obstacle():
     with pytest.raises(upslope.UpslopeError, match="give a free one of the 3 cells"):
-        made(map="S#G").reset(options={"cell": 1})
+        make_grid(map="S#G").reset(options={"cell": 1})

@@ -1,4 +1,4 @@
-"""Everything in turn on slippery maps with traps: Algorithm 1, DQN shaped by what it found, Algorithm 2."""
+"""The whole pipeline on slippery maps with traps: Algorithm 1, DQN shaped by its prior, Algorithm 2."""
 
 import dataclasses
 
@@ -46,7 +46,7 @@ def arms(maps, priors):
 
 
 def is_return(numbers):
-    """Whether these are expected returns of episodes that end with 1, -1 or nothing."""
+    """Whether all numbers are possible expected returns of episodes that end with 1, -1 or 0."""
     return np.all((np.asarray(numbers) >= -1) & (np.asarray(numbers) <= 1))
 
 

@@ -1,4 +1,4 @@
-"""Def. 2.1 and Eqs. 1, 4 to 9, by numbers worked out by hand; gradients where their flow is part of the equation."""
+"""Def. 2.1 and Eqs. 1, 4 to 9, against values computed by hand; gradients where an equation defines their flow."""
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ heads = st.tuples(reasonable, st.lists(reasonable, min_size=4, max_size=4))
 
 
 def q_row(value, advantage):
-    """Q(s, ·) of a row of advantages."""
+    """Q(s, ·) for a row of advantages."""
     return losses.dueling_q(value, advantage, jnp.max(advantage))
 
 
@@ -64,7 +64,7 @@ class TestEquation5:
         assert float(self.loss(n(2), n(3))) == pytest.approx(1.2**2)
         assert float(losses.td_error(n(2), n(0.5), n(0.9), n(3))) == pytest.approx(1.2)
 
-    def test_termination_cuts_the_bootstrap_off(self):
+    def test_termination_removes_the_bootstrap(self):
         assert float(self.loss(n(2), n(3), discount=0.0)) == pytest.approx((0.5 - 2) ** 2)
 
     def test_another_action_has_another_error(self):
@@ -76,7 +76,7 @@ class TestEquation5:
         assert float(q) == pytest.approx(-2.4)  # −2δ
         assert float(next_value) == pytest.approx(2 * 1.2 * 0.9)  # 2δγ
 
-    def test_it_reaches_the_best_next_action_alone(self):
+    def test_it_reaches_only_the_best_next_action(self):
         gradient = jax.grad(lambda row: self.loss(n(2), jnp.max(row)))(jnp.array([3.0, -1.0]))
         np.testing.assert_allclose(gradient, [2 * 1.2 * 0.9, 0.0], rtol=1e-5)
 
@@ -95,7 +95,7 @@ class TestEquation6:
         # max A = 4, so Q = 1.5 + (1, 4, 2) − 4
         np.testing.assert_allclose(q_row(n(1.5), jnp.array([1.0, 4.0, 2.0])), [-1.5, 1.5, -0.5])
 
-    def test_it_is_not_the_mean_of_common_dueling_networks(self):
+    def test_it_differs_from_the_mean_of_common_dueling_networks(self):
         # With the mean 7/3 the best action's value would be 1.5 + 4 − 7/3 instead of V.
         assert float(jnp.max(q_row(n(1.5), jnp.array([1.0, 4.0, 2.0])))) == 1.5
 
@@ -131,7 +131,7 @@ class TestEquation7:
         assert float(self.loss(self.prior, self.posterior, LEFT)) == 9.0  # (1 − 4)²
         assert float(self.loss(self.prior, self.posterior, RIGHT)) == 100.0  # (2 + 8)²
 
-    def test_of_arrays_it_is_that_of_each_number(self):
+    def test_arrays_are_handled_elementwise(self):
         np.testing.assert_array_equal(losses.prior_learning_loss(self.prior, self.posterior), [9.0, 100.0])
 
     def test_gradient_flows_into_prior_and_posterior_alike(self):
@@ -158,5 +158,5 @@ class TestEquation9:
 
     def test_target_is_stopped_so_only_the_value_moves(self):
         value, advantage = jax.grad(self.loss, (0, 1))(self.value, self.advantage)
-        assert float(value) == -4.0  # 2·(V − (max A + V)) = −2·max A: V climbs where some action beats zero
+        assert float(value) == -4.0  # 2·(V − (max A + V)) = −2·max A: V rises where some advantage is positive
         np.testing.assert_array_equal(advantage, [0.0, 0.0])

@@ -25,12 +25,12 @@ def bowl_loss(phi, bowl):
 
 
 def slope_loss(phi, bowl):
-    """No curvature at all."""
+    """A linear loss, without curvature."""
     return bowl.curvature * phi
 
 
 def bent_loss(params, data):
-    """Something with third derivatives, over a PyTree of parameters."""
+    """A loss with nonzero third derivatives, over a PyTree of parameters."""
     return jnp.mean((jnp.tanh(data @ params["in"]) @ params["out"] - jnp.sin(data[:, 0])) ** 2)
 
 
@@ -49,7 +49,7 @@ TWO_BOWLS = Bowl(jnp.array([1.0, 2.0]), jnp.array([1.0, 5.0]))
 
 
 def meta_gradient(inner_loss, theta, *, steps=1, first_order=False):
-    """The meta-gradient over one bowl, with the bowl's own loss outside."""
+    """The meta-gradient for one bowl, with the bowl's loss as the outer loss."""
     one = jax.tree.map(lambda leaf: leaf[None], BOWL)
 
     adapt_to = adapting(inner_loss, step_size=0.1, steps=steps, first_order=first_order)
@@ -78,7 +78,7 @@ def test_first_order_finds_the_same_posterior(first_order):
 
 @pytest.mark.parametrize("steps", [1, 2, 3])
 def test_full_and_first_order_meta_gradients_have_their_closed_forms(steps):
-    # L(φ) = (φ − 1)² with φ − 1 = 0.8ᴺ·2. Full: dL/dφ·dφ/dθ = 2·0.8ᴺ·2·0.8ᴺ. First order takes dφ/dθ for 1.
+    # L(φ) = (φ − 1)² with φ − 1 = 0.8ᴺ·2. Full: dL/dφ·dφ/dθ = 2·0.8ᴺ·2·0.8ᴺ. First order replaces dφ/dθ by 1.
     shrunk = 0.8**steps
     assert meta_gradient(bowl_loss, 3.0, steps=steps) == pytest.approx(4 * shrunk * shrunk)
     assert meta_gradient(bowl_loss, 3.0, steps=steps, first_order=True) == pytest.approx(4 * shrunk)
@@ -104,7 +104,7 @@ def test_first_order_outer_step_over_two_tasks():
     assert float(theta) == pytest.approx(3 + 0.5 * 0.7)
 
 
-def test_the_distance_sees_theta_as_well():
+def test_the_distance_depends_on_theta_as_well():
     # φ = 2.8 and 3.4 from θ = 3, as above: (0.2² + 0.4²)/2 by the distance of θ and φ, as in Algorithm 1.
     loss = maml.meta_loss(adapting(bowl_loss, step_size=0.1), lambda theta, phi, _: (theta - phi) ** 2, n(3), TWO_BOWLS)
     assert float(loss) == pytest.approx((0.04 + 0.16) / 2, rel=1e-5)

@@ -20,7 +20,7 @@ gammas = st.floats(0.5, 0.97)
 
 @partial(jax.jit, static_argnames="terminal_gamma")
 def _f(potential, discount, terminal_gamma):
-    """F(s, s') ``[states, states]`` by upslope's own shaping; a state is observed as its index."""
+    """F(s, s') ``[states, states]`` by upslope's shaping; the observation of a state is its index."""
     states = len(potential)
     obs, next_obs = jnp.divmod(jnp.arange(states**2), states)
     batch = Transition(
@@ -36,7 +36,7 @@ def _f(potential, discount, terminal_gamma):
 
 
 def shaping_rewards(mdp: FiniteMDP, potential: np.ndarray, *, gamma=None, terminal_gamma=None) -> np.ndarray:
-    """F(s, a, s') ``[states, 1, states]``, by the MDP's own γ unless told otherwise."""
+    """F(s, a, s') ``[states, 1, states]``, by the MDP's γ unless another is given."""
     discount = mdp.discount if gamma is None else gamma * (1.0 - mdp.terminal)
     with jax.enable_x64(True):
         added = _f(jnp.asarray(potential), jnp.asarray(discount), terminal_gamma)
@@ -74,7 +74,7 @@ class TestTheorem21:
             check_policy_invariance(seed, (0.5, 0.8, 0.95, 0.97)[seed % 4], (0.1, 1.0, 10.0)[seed % 3])
 
     def test_some_states_have_several_optimal_actions(self):
-        # Otherwise the comparison of greedy sets above would be one of single actions.
+        # Otherwise the tests above would only compare single greedy actions.
         mdp = random_mdp(0)
         assert (greedy_sets(mdp, solve(mdp).q).sum(-1) > 1).any()
 
@@ -102,7 +102,7 @@ class TestTheorem21:
 
 
 class QLearner:
-    """Tabular ε-greedy Q-learning, fed its randomness from outside."""
+    """Tabular ε-greedy Q-learning; the caller supplies the random numbers."""
 
     def __init__(self, q: np.ndarray, mdp: FiniteMDP, added: np.ndarray):
         self.q, self.mdp, self.rewards, self.state, self.actions = q, mdp, mdp.rewards + added, 0, []
@@ -138,7 +138,7 @@ def check_wiewiora(seed, steps):
 
 
 class TestWiewiorasEquivalence:
-    """Q-learning shaped by Φ from Q = 0, and unshaped from Q = Φ, act alike for ever."""
+    """Q-learning shaped by Φ from Q = 0, and unshaped from Q = Φ, take the same actions at every step."""
 
     @given(seeds)
     def test_shaped_and_initialised_learners_take_the_same_actions(self, seed):
@@ -162,10 +162,10 @@ def check_optimal_credit_assignment(seed, gamma):
 
 
 class TestTheorem31:
-    """Φ = V*: the expected shaped reward is the advantage, so zero exactly for the optimal actions."""
+    """Φ = V*: the expected shaped reward is the advantage, which is zero exactly for the optimal actions."""
 
     @given(seeds, gammas)
-    def test_only_optimal_actions_cost_nothing(self, seed, gamma):
+    def test_only_optimal_actions_have_zero_shaped_reward(self, seed, gamma):
         check_optimal_credit_assignment(seed, gamma)
 
     @pytest.mark.slow

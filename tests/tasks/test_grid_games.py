@@ -1,4 +1,4 @@
-"""The family of grid games: settings that are refused, and learners of every kind that run on it unchanged."""
+"""The family of grid games: settings that are refused, and every kind of learner running on it unchanged."""
 
 import jax
 import numpy as np
@@ -85,7 +85,7 @@ class TestCollecting:
         np.testing.assert_allclose(batch.discount, np.where(arrived, 0.0, 0.8), rtol=1e-6)
         np.testing.assert_array_equal(batch.reward, arrived.astype(float))
 
-    def test_after_an_episode_one_acts_from_the_start_again(self, collected):
+    def test_after_an_episode_the_next_one_begins_at_the_start(self, collected):
         tasks, batch = collected
         position = batch.obs[..., POSITION].reshape(6, 100, 25).argmax(-1)
         following = batch.next_obs[..., POSITION].reshape(6, 100, 25).argmax(-1)
@@ -94,7 +94,7 @@ class TestCollecting:
         starts = np.broadcast_to(np.asarray(tasks.start)[:, None], (6, 99))
         np.testing.assert_array_equal(position[:, 1:][jumped], starts[jumped])
 
-    def test_the_return_of_an_episode_is_whether_the_goal_was_reached(self):
+    def test_the_return_is_one_where_the_goal_was_reached_and_zero_elsewhere(self):
         tasks = draw(clean_maps(), 50, seed=4)
 
         def down_then_right(key, obs):
@@ -127,10 +127,10 @@ class TestNamedFamilies:
         assert FAMILIES["grid"](gamma=0.8).build("train") == grid_games(gamma=0.8, split="train")
 
     @pytest.mark.parametrize("name", FAMILIES)
-    def test_the_recipe_is_the_family_s_own(self, name):
+    def test_every_family_supplies_its_recipe(self, name):
         assert FAMILIES[name].recipe == FAMILIES[name]().build().recipe
 
-    def test_a_pole_can_be_chosen(self):
+    def test_the_length_of_a_pole_can_be_set(self):
         choice = FAMILIES["cartpole"].task_choice(pole=1.5)
         task, description = choice.task(cartpoles(), 0)
         assert float(task.length) == 1.5
@@ -138,7 +138,7 @@ class TestNamedFamilies:
         drawn, _ = FAMILIES["cartpole"].task_choice().task(cartpoles(), 0)
         assert 0.25 <= float(drawn.length) <= 5.0
 
-    def test_the_seed_draws_a_map(self):
+    def test_the_seed_determines_the_map(self):
         family = grid_games()
         choice = FAMILIES["grid"].task_choice()
         (first, description), (again, _), (other, _) = (choice.task(family, seed) for seed in (3, 3, 4))

@@ -1,4 +1,4 @@
-"""Maps: reachable, of the right density, distinct, and split so that no test map or goal was ever trained on."""
+"""Maps: reachable, of the right density, distinct, and split so that no test map or goal is in the training set."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ GOLDEN_OBSTACLES, GOLDEN_CLEAN = 3171027173, 2163742591
 
 
 def rows(maps):
-    """Each map as a hashable tuple of everything on it."""
+    """Each map as a hashable tuple of its contents."""
     parts = [
         np.asarray(leaf).reshape(len(maps.start), -1) for leaf in (maps.obstacles, maps.traps, maps.start, maps.goal)
     ]
@@ -82,13 +82,13 @@ class TestDistribution:
         per_cell = np.asarray(training.obstacles.mean(axis=0))
         np.testing.assert_allclose(per_cell, 0.2, atol=0.028)
 
-    def test_traps_have_theirs_among_the_rest(self):
+    def test_traps_keep_their_density_among_the_free_cells(self):
         maps = draw(grid_games(traps=0.25), 2000)
         assert float(maps.obstacles.mean()) == pytest.approx(0.2, abs=0.006)
         assert float(maps.traps.mean()) == pytest.approx(0.8 * 0.25, abs=0.006)
         assert not np.any(maps.obstacles & maps.traps)
 
-    def test_clean_maps_are_clean_and_their_ends_uniform(self, clean):
+    def test_clean_maps_are_empty_and_their_starts_and_goals_uniform(self, clean):
         assert not np.any(clean.obstacles)
         assert np.all(clean.start != clean.goal)
         for ends in (clean.start, clean.goal):
@@ -105,7 +105,7 @@ class TestFixedSets:
         assert clean_training.obstacles.shape == (800, 10, 10)
         assert len(set(rows(clean_training))) == 800
 
-    def test_a_family_of_fixed_maps_draws_all_of_them_and_no_others(self):
+    def test_a_family_of_fixed_maps_draws_exactly_those_maps(self):
         family = grid_games((4, 4), maps=5, maps_seed=3)
         drawn = rows(draw(family, 200))
         assert set(drawn) == set(rows(family.sample_params.maps))
@@ -117,11 +117,11 @@ class TestFixedSets:
         assert rows(first) != rows(other)
 
     def test_the_papers_sets_never_change(self, training, clean_training):
-        # Results are quoted for these very maps.
+        # Published results are for exactly these maps.
         assert int(jnp.sum(fingerprints(training), dtype=jnp.uint32)) == GOLDEN_OBSTACLES
         assert int(jnp.sum(fingerprints(clean_training), dtype=jnp.uint32)) == GOLDEN_CLEAN
 
-    def test_more_maps_than_there_are(self):
+    def test_requesting_more_maps_than_exist(self):
         with pytest.raises(UpslopeError, match=r"Only 12 distinct maps were found where 13"):
             grid_games((2, 2), obstacles=0.0, maps=13)
         assert len(set(rows(grid_games((2, 2), obstacles=0.0, maps=12).sample_params.maps))) == 12
@@ -137,14 +137,14 @@ class TestSplits:
         assert float(unseen.obstacles.mean()) == pytest.approx(0.2, abs=0.0045)
         assert len(set(rows(unseen))) == 2000
 
-    def test_a_fifth_of_all_maps_belongs_to_the_tests(self, clean):
+    def test_a_fifth_of_all_maps_are_test_maps(self, clean):
         assert float(are_test_maps(clean).mean()) == pytest.approx(0.2, abs=0.04)
         assert float(are_test_maps(draw(grid_games(), 2000)).mean()) == pytest.approx(0.2, abs=0.04)
 
     def test_clean_splits_share_no_map(self, clean_training):
         assert not set(rows(clean_training)) & set(rows(draw(clean_maps("test"), 1000)))
 
-    def test_held_out_goals_were_never_trained_on(self):
+    def test_held_out_goals_are_not_in_the_training_set(self):
         train, test = (clean_maps(split, held_out="goals") for split in ("train", "test"))
         trained = set(np.asarray(train.sample_params.maps.goal).tolist())
         tested = set(np.asarray(draw(test, 1000).goal).tolist())
@@ -157,7 +157,7 @@ class TestSplits:
         train, test = (draw(grid_games(split=split, held_out="goals"), 500) for split in ("train", "test"))
         assert not set(train.goal.tolist()) & set(test.goal.tolist())
 
-    def test_the_hash_sees_everything_on_the_map(self):
+    def test_the_hash_depends_on_everything_on_the_map(self):
         one = pick(draw(grid_games(traps=0.2), 1), 0)
         cell = jnp.asarray((int(one.start) + 1) % 64)
         changed = [

@@ -1,4 +1,4 @@
-"""Families of host environments: the transitions of the compiled ones, spaces, tasks, processes, and bad input."""
+"""Families of host environments: the same transitions as the compiled ones, spaces, tasks, processes, and bad input."""
 
 import functools
 
@@ -42,7 +42,7 @@ def collected():
 
 
 class TestParity:
-    def test_every_transition_is_that_of_the_compiled_environment(self, collected):
+    def test_every_transition_matches_the_compiled_environment(self, collected):
         tasks, first, _ = collected
         env, sampler = CartPole(), cartpoles().sample_params
 
@@ -58,8 +58,8 @@ class TestParity:
             np.testing.assert_array_equal(first.reward[index], ours[1])
             np.testing.assert_allclose(first.discount[index], ours[2], rtol=1e-6)
 
-    def test_same_policy_same_start_same_keys_same_episodes(self):
-        """Both back ends from the same states with the same keys, up to the first reset: starts are each one's own."""
+    def test_both_back_ends_give_the_same_episodes(self):
+        """With the same states, keys and policy, up to the first reset; the back ends draw different starts."""
         family = cartpoles(max_steps=12, gamma=0.9)
         tasks = POLES.sample_many(KEYS[0], 3)
         lengths = jnp.asarray([POLES.task_of(words) for words in tasks], jnp.float32)
@@ -75,10 +75,12 @@ class TestParity:
             until = int(ended[0]) + 1 if ended.size else 12
             assert until > 5
             for name in ("obs", "action", "reward", "discount", "next_obs"):
-                ours, his = (np.asarray(getattr(batch, name))[index, :until] for batch in (compiled, on_host))
-                np.testing.assert_allclose(ours, his, rtol=1e-4, atol=2e-5)
+                compiled_values, host_values = (
+                    np.asarray(getattr(batch, name))[index, :until] for batch in (compiled, on_host)
+                )
+                np.testing.assert_allclose(compiled_values, host_values, rtol=1e-4, atol=2e-5)
 
-    def test_episodes_end_and_go_on_as_learners_expect(self, collected):
+    def test_episodes_end_and_continue_as_learners_expect(self, collected):
         _, first, second = collected
         obs = np.concatenate([first.obs, second.obs], axis=1)
         following = np.concatenate([first.next_obs, second.next_obs], axis=1)
@@ -113,7 +115,7 @@ class TestParity:
         running = again.reset(KEYS[1], again.sample_many(KEYS[0], 3))
         assert_trees_identical(again.collect(KEYS[2], tasks, running, POLICY, 40)[1], first)
 
-    def test_worker_processes_give_the_same(self, collected):
+    def test_worker_processes_give_the_same_transitions(self, collected):
         tasks = collected[0]
         family = GymnasiumTasks(host.length, host.short_pole, 0.9, mode="async")
         rollouts = [some.rollout(KEYS[3], tasks[:2], POLICY, 15) for some in (family, POLES)]
@@ -162,14 +164,14 @@ def test_policies_without_a_numpy_form_are_called_compiled():
 
 
 class TestTasks:
-    def test_a_task_is_drawn_again_from_its_words(self):
+    def test_a_task_can_be_redrawn_from_its_key_words(self):
         tasks = POLES.sample_many(KEYS[0], 50)
         assert tasks.shape == (50, 2)
         lengths = [POLES.task_of(words) for words in tasks]
         assert lengths == [POLES.task_of(words) for words in tasks]
         assert 0.25 <= min(lengths) < 1.0 < 4.0 < max(lengths) <= 5.0
 
-    def test_each_environment_has_its_own_task(self):
+    def test_each_environment_gets_a_different_task(self):
         family = lamps()
         tasks = family.sample_many(KEYS[0], 4)
         rewards = family.rollout(KEYS[1], tasks, Greedy(QNetwork(KEYS[0], 2, 3)), 4).reward
@@ -257,7 +259,7 @@ class TestSpaces:
     def test_text_is_flattened_by_gymnasium(self):
         assert lamps(Text(3, charset="ab")).observation_shape == (3,)
 
-    def test_scale_comes_from_the_bounds_where_they_say_something(self):
+    def test_scale_comes_from_informative_bounds(self):
         space = Box(np.array([-4.0, -np.inf, 0.0, -1e6]), np.array([2.0, 1.0, 50.0, 1e6]), dtype=np.float64)
         assert lamps(space).observation_scale == (0.25, 1.0, 0.02, 1.0)
 
@@ -277,7 +279,7 @@ class TestBadInput:
         with pytest.raises(UpslopeError, match=r"make_env failed for the task \d \(RuntimeError: no such lamp\)"):
             family.rollout(KEYS[0], family.sample_many(KEYS[1], 8), Greedy(QNetwork(KEYS[0], 2, 3)), 2)
 
-    def test_a_factory_of_something_else(self):
+    def test_a_factory_that_returns_no_environment(self):
         with pytest.raises(UpslopeError, match="make_env returned int"):
             GymnasiumTasks(lambda rng: 1, lambda task: task, 0.5)
 
@@ -303,7 +305,7 @@ class TestBadInput:
             family.rollout(KEYS[0], family.sample_many(KEYS[1], 1), lambda key, obs: jnp.zeros(1, int), 3)
         family.close()
 
-    def test_a_compiled_program(self):
+    def test_calls_from_a_compiled_program_are_refused(self):
         with pytest.raises(UpslopeError, match="can't run inside a compiled program"):
             jax.jit(lambda key: POLES.reset(key, POLES.sample_many(key, 2)))(KEYS[0])
 
@@ -319,6 +321,6 @@ class TestBadInput:
             lamps(**settings)
 
     @pytest.mark.parametrize("gamma", [0.0, 1.5, float("nan")])
-    def test_no_discount(self, gamma):
+    def test_invalid_discounts(self, gamma):
         with pytest.raises(UpslopeError, match="gamma is"):
             GymnasiumTasks(host.length, host.pole, gamma)

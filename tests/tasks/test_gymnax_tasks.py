@@ -1,4 +1,4 @@
-"""Families over JAX environments of others: transitions known by hand, gymnax's own environments, xminigrid."""
+"""Families of third-party JAX environments: hand-computed transitions, gymnax's environments, xminigrid."""
 
 import equinox as eqx
 import jax
@@ -45,7 +45,7 @@ def rollout(family, policy, steps, tasks=2):
 
 
 class TestByHand:
-    def test_termination_cuts_the_future_off_and_the_reset_observation_is_no_successor(self):
+    def test_termination_zeroes_the_discount_and_the_reset_observation_is_not_the_successor(self):
         batch = rollout(counting(), always(2), 5)
         np.testing.assert_array_equal(batch.obs[0, :, 0], [0, 2, 0, 2, 0])
         np.testing.assert_array_equal(batch.next_obs[0, :, 0], [2, 4, 2, 4, 2])
@@ -96,7 +96,7 @@ class TestByHand:
         }
         np.testing.assert_allclose(batch.obs[0, 2], expected[observes])
 
-    def test_continuous_actions_are_brought_to_the_bounds(self):
+    def test_continuous_actions_are_scaled_to_the_bounds(self):
         family = counting(push=4.0)
         assert family.actions == ContinuousActions(1)
         batch = rollout(family, lambda key, obs: jnp.full((len(obs), 1), 0.5), 1)
@@ -122,7 +122,7 @@ class TestByHand:
             upslope.gymnax_tasks(env, sample, 0.9, **settings)
 
     @pytest.mark.parametrize("gamma", [0.0, 1.1, float("nan")])
-    def test_no_discount(self, gamma):
+    def test_invalid_discounts(self, gamma):
         with pytest.raises(upslope.UpslopeError, match="gamma is"):
             upslope.gymnax_tasks(Counting(), lambda key: Params(4), gamma)
 
@@ -144,7 +144,7 @@ class TestGymnax:
         ],
     )
     def test_true_successors_and_ends(self, name, shape, actions):
-        """Each transition against gymnax's own step without the automatic reset."""
+        """Each transition against gymnax's step without automatic reset."""
         env, family = self.family(name, max_steps_in_episode=30)
         assert (family.observation_shape, family.actions.count, family.max_steps) == (shape, actions, 30)
         params = family.sample(KEY)
@@ -174,10 +174,12 @@ class TestGymnax:
         assert terminated.any() or truncated.any()
 
     @pytest.mark.slow
-    def test_time_limits_and_failures_are_told_apart(self):
+    def test_time_limits_and_failures_are_distinguished(self):
         _, car = self.family("MountainCar-v0")
         batch = rollout(car, randomly(3), 450)
-        np.testing.assert_allclose(batch.discount, 0.9)  # nobody reaches the top by chance: limits only
+        np.testing.assert_allclose(
+            batch.discount, 0.9
+        )  # random actions never reach the top, so only time limits end episodes
         assert np.all(np.asarray(batch.next_obs[:, 199]) != np.asarray(batch.obs[:, 200]))
         _, pole = self.family("CartPole-v1")
         ends = np.asarray(rollout(pole, randomly(2), 450).discount) == 0
@@ -224,7 +226,7 @@ class TestXMiniGrid:
         colours = jnp.array([Colors.RED, Colors.GREEN, Colors.BLUE])
 
         def rules(key):
-            """One ball of each of two colours; the goal is to stand beside the first."""
+            """One ball of each of two colours; the goal is to stand next to the first."""
             pair = jax.random.permutation(key, colours)[:2]
             balls = jnp.stack([jnp.full(2, Tiles.BALL), pair], axis=1).astype(jnp.uint8)
             goal = AgentNearGoal(tile=balls[0]).encode()
@@ -233,7 +235,7 @@ class TestXMiniGrid:
         return upslope.gymnax_tasks(TimeStepEnvironment(env), rules, 0.95)
 
     @pytest.mark.slow
-    def test_tasks_end_where_their_goal_is_reached_or_time_is_up(self, family):
+    def test_tasks_end_at_their_goal_or_time_limit(self, family):
         assert (family.observation_shape, family.actions.count, family.max_steps) == ((5, 5, 2), 6, 25)
         batch = rollout(family, randomly(6), 200, tasks=8)
         reward, discount = np.asarray(batch.reward), np.asarray(batch.discount)

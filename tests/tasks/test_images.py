@@ -1,4 +1,4 @@
-"""Images of host environments: kept as images, learned from by convolutions, and the same numbers in plain numpy."""
+"""Images of host environments: kept as images, learned by convolutions, and evaluated equally in plain numpy."""
 
 import gymnasium as gym
 import jax
@@ -60,11 +60,11 @@ class TestFamily:
         np.testing.assert_array_equal(batch.next_obs[:, :2], batch.obs[:, 1:3])
         assert np.all(np.any(np.asarray(batch.next_obs[:, 2] != batch.obs[:, 3]), axis=(1, 2, 3))), "no reset leaks"
 
-    def test_channels_have_scales_of_their_own(self):
+    def test_each_channel_has_its_own_scale(self):
         high = np.broadcast_to(np.array([1.0, 10.0, 1e4], np.float32), (4, 4, 3))
         assert lamps(Box(-high, high)).observation_scale == pytest.approx((1.0, 0.1, 1.0))
 
-    def test_large_ones_are_refused(self):
+    def test_large_images_are_refused(self):
         with pytest.raises(UpslopeError, match=r"210 × 160 pixels are too large.*ResizeObservation"):
             lamps(Box(0, 255, (210, 160, 3), np.uint8))
 
@@ -83,7 +83,7 @@ class TestNumpy:
             Actor(KEY, SPACE.shape, 3, (8,), SCALE),
         ],
     )
-    def test_networks_act_as_in_jax(self, network):
+    def test_networks_choose_the_same_actions_as_in_jax(self, network):
         images = IMAGES.astype(np.float32)
         expected = np.asarray(jax.vmap(network.best)(jnp.asarray(images)))
         np.testing.assert_allclose(network.numpy_best()(images), expected, rtol=1e-5, atol=1e-6)
@@ -124,7 +124,7 @@ class TestNumpy:
 
 class TestLearners:
     @pytest.mark.slow
-    def test_dqn_by_convolutions(self, family):
+    def test_dqn_with_convolutions(self, family):
         learners = broadcast(DQN(family, family.sample(KEY), None, DQN_SMALL), (1,))
         outcome = run(learners, KEY[None], updates=2, every=2)
         assert isinstance(outcome.states.network.torso, ConvolutionalTorso)
@@ -145,7 +145,7 @@ class TestLearners:
         assert result.posterior.to_numpy() != prior.to_numpy()
 
     @pytest.mark.slow
-    def test_ddpg_by_convolutions(self):
+    def test_ddpg_with_convolutions(self):
         pushed = GymnasiumTasks(
             lambda rng: 1.0, lambda task: host.Lamp(task, SPACE, Box(-1, 1, (1,))), 0.9, max_steps=3
         )
@@ -157,7 +157,7 @@ class TestLearners:
         np.testing.assert_array_equal(outcome.reports["return"], 3.0)
 
 
-def test_a_critic_of_images_tells_images_and_actions_apart():
+def test_a_critic_of_images_depends_on_images_and_actions():
     critic = Critic(KEY, SPACE.shape, 2, (8,), SCALE)
     first, second = (jnp.asarray(image, jnp.float32) for image in IMAGES[:2])
     action = jnp.array([0.5, -0.5])

@@ -1,4 +1,4 @@
-"""Families: settings that are refused, sampling, equality, and what collecting promises to learners."""
+"""Families: settings that are refused, sampling, equality, and the guarantees of collecting."""
 
 import jax
 import jax.numpy as jnp
@@ -27,22 +27,22 @@ class TestSettings:
         [(5.0, 0.25), (-1.0, 2.0), (0.0, 2.0), (float("nan"), 2.0), (1.0, float("nan")), (1.0, float("inf"))],
         ids=str,
     )
-    def test_no_range_of_lengths(self, length):
+    def test_invalid_ranges_of_lengths(self, length):
         with pytest.raises(UpslopeError, match=r"pole lengths .* no range"):
             cartpoles(length)
 
     @pytest.mark.parametrize("gamma", [0.0, -0.5, 1.01, float("nan")])
-    def test_no_discount(self, gamma):
+    def test_invalid_discounts(self, gamma):
         with pytest.raises(UpslopeError, match="gamma is"):
             cartpoles(gamma=gamma)
 
     @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
     @pytest.mark.parametrize("name", ["angle_limit_degrees", "track_limit"])
-    def test_no_limits(self, name, value):
+    def test_invalid_limits(self, name, value):
         with pytest.raises(UpslopeError, match="must all be positive"):
             cartpoles(**{name: value})
 
-    def test_no_steps(self):
+    def test_invalid_numbers_of_steps(self):
         with pytest.raises(UpslopeError, match="must all be positive"):
             cartpoles(max_steps=0)
 
@@ -74,7 +74,7 @@ class TestSampling:
         half, whole = cartpoles((0.25, 2.5), half_length=True), cartpoles((0.5, 5.0))
         assert_trees_identical(half.sample(jax.random.key(1)), whole.sample(jax.random.key(1)))
 
-    def test_many_are_a_stack_of_single_ones(self):
+    def test_a_batch_of_tasks_is_a_stack_of_single_draws(self):
         family, key = cartpoles(), jax.random.key(2)
         singles = stack([family.sample(k) for k in jax.random.split(key, 5)])
         assert_trees_identical(family.sample_many(key, 5), singles)
@@ -119,7 +119,7 @@ def collected():
 
 @pytest.fixture(scope="module")
 def ends(collected):
-    """Terminated and truncated ``[count, steps]``, judged anew from the true successors and by counting."""
+    """Terminated and truncated ``[count, steps]``, recomputed from the true successors and by counting."""
     position, _, angle, _ = np.moveaxis(np.asarray(collected[1].next_obs), -1, 0)
     terminated = (np.abs(position) > 2.4) | (np.abs(angle) > np.radians(15))
     truncated, taken = np.zeros_like(terminated), np.zeros(COUNT, int)
@@ -148,7 +148,7 @@ class TestCollecting:
         np.testing.assert_array_equal(chained, ~ended)
         assert np.all(np.abs(np.asarray(batch.obs)[:, 1:][ended]) <= 0.05), "an episode begins near the middle"
 
-    def test_the_running_environments_go_on_from_the_last_step(self, collected, ends):
+    def test_the_running_environments_continue_from_the_last_step(self, collected, ends):
         running, batch = collected
         going_on = ~(ends[0] | ends[1])[:, -1]
         np.testing.assert_array_equal(running.obs[going_on], batch.next_obs[:, -1][going_on])
@@ -156,7 +156,7 @@ class TestCollecting:
 
 
 class TestDrawingAhead:
-    """Policies whose noise is drawn before the first step act as those that draw their own at each step."""
+    """Policies with noise drawn in advance act like policies that draw noise at each step."""
 
     tasks = stack([pole(length) for length in (0.5, 1.0, 3.0)])
 
@@ -211,7 +211,7 @@ class TestFamilyOfOne:
         assert_trees_identical(family.sample(jax.random.key(0)), self.task)
         assert family.sample_many(jax.random.key(0), 3).length.tolist() == [float(self.task.length)] * 3
 
-    def test_all_else_is_as_before(self):
+    def test_all_other_properties_are_unchanged(self):
         family = SHORT.only(self.task)
         for name in ("name", "gamma", "observation_shape", "observation_scale", "actions", "max_steps"):
             assert getattr(family, name) == getattr(SHORT, name)
