@@ -1,7 +1,7 @@
-"""A family of a JAX environment of somebody else's: gymnax's Acrobot with links of any length.
+"""A family from a third-party JAX environment: gymnax's Acrobot with links of any length.
 
-Meta-trains a prior over link lengths, and compares shaped and unshaped DQN on links that were never seen; all of it
-compiles. ``pip install --no-deps gymnax==1.0.1`` (it pins an older Gymnasium) and ``pip install flax seaborn``, then
+Meta-trains a prior over link lengths, and compares shaped and unshaped DQN on unseen links; everything is
+compiled. ``pip install --no-deps gymnax==1.0.1`` (it pins an older Gymnasium) and ``pip install flax seaborn``, then
 ``python examples/gymnax_family.py [--quick]``.
 """
 
@@ -20,23 +20,23 @@ class Options:
     """What to run."""
 
     iterations: int = 300
-    """Of meta-training."""
+    """Iterations of meta-training."""
     updates: int = 1500
-    """Of each DQN."""
+    """Updates of each DQN."""
     links: int = 5
-    """Unseen ones."""
+    """Number of unseen tasks."""
     seed: int = 0
     quick: bool = False
-    """A few of each, to see that all works."""
+    """A short run, to check that everything works."""
 
 
 def main(options: Options) -> None:
-    """Meta-trains, and prints median raw returns over unseen links: minus the steps that it took, −500 at worst."""
+    """Meta-trains, and prints median raw returns over unseen links: minus the number of steps, −500 at worst."""
     iterations, updates, links = (2, 20, 1) if options.quick else (options.iterations, options.updates, options.links)
     env, params = gymnax.make("Acrobot-v1")
 
     def sample(key: jax.Array) -> object:
-        """A task: the parameters, with all that follows from the length of the upper link."""
+        """A task: the parameters, including those that depend on the length of the upper link."""
         length = jax.random.uniform(key, minval=0.5, maxval=1.5)
         return params.replace(link_length_1=length, link_com_pos_1=length / 2, link_mass_1=length)
 

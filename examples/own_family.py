@@ -1,7 +1,7 @@
 """A family of your own from a stock Gymnasium environment: frozen lakes with maps drawn at random.
 
-Meta-trains a prior over maps, checks the shaping, and compares tabular Q-learning with and without it on maps that were
-never seen. ``python examples/own_family.py [--quick]``; no torch, and no JAX of your own.
+Meta-trains a prior over maps, checks the shaping, and compares tabular Q-learning with and without it on unseen
+maps. ``python examples/own_family.py [--quick]``; it needs no torch, and you write no JAX.
 """
 
 from dataclasses import dataclass
@@ -22,18 +22,18 @@ class Options:
     """What to run."""
 
     iterations: int = 300
-    """Of meta-training."""
+    """Iterations of meta-training."""
     maps: int = 20
-    """Unseen ones."""
+    """Number of unseen maps."""
     episodes: int = 300
-    """Of Q-learning on each."""
+    """Episodes of Q-learning on each map."""
     seed: int = 0
     quick: bool = False
-    """A few of each, to see that all works."""
+    """A short run, to check that everything works."""
 
 
 def sample(rng: np.random.Generator) -> list[str]:
-    """A task: a map with a way to the goal."""
+    """A task: a map with a path to the goal."""
     return generate_random_map(size=SIZE, p=0.8, seed=int(rng.integers(2**31)))
 
 
@@ -43,7 +43,7 @@ def make_env(task: list[str]) -> gym.Env:
 
 
 def main(options: Options) -> None:
-    """Meta-trains, checks, compares."""
+    """Meta-trains a prior, checks the shaping, and compares Q-learning with and without it."""
     iterations, maps, episodes = (4, 2, 5) if options.quick else (options.iterations, options.maps, options.episodes)
     lakes = upslope.GymnasiumTasks(sample, make_env, gamma=GAMMA)
     config = upslope.MetaTrainingConfig(iterations=iterations, epsilon=(0.3, 1.0))
@@ -84,7 +84,7 @@ def q_learning(env: gym.Env, episodes: int, seed: int) -> float:
 
 
 def reaches_goal(lake: gym.Env, q: np.ndarray) -> bool:
-    """Whether the greedy policy gets there, by the lake's own table of transitions."""
+    """Whether the greedy policy reaches the goal, by the lake's transition table."""
     state = 0
     for _ in range(50):
         ((_, state, reward, ended),) = lake.P[state][int(np.argmax(q[state]))]  # type: ignore[attr-defined]

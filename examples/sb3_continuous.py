@@ -1,4 +1,4 @@
-"""Stable-Baselines3's SAC, TD3 or DDPG on a continuous pole: the prior's potential was learned with discrete actions.
+"""Stable-Baselines3's SAC, TD3 or DDPG on a continuous pole: its prior was meta-trained with discrete actions.
 
 ``pip install 'upslope[sb3]'``, then ``python examples/sb3_continuous.py [--algorithm TD3] [--quick]``.
 """
@@ -24,7 +24,7 @@ class Options:
     """Full length of the pole, in metres."""
     steps: int = 3000
     quick: bool = False
-    """A few steps, to see that all works."""
+    """A short run, to check that everything works."""
 
 
 def main(options: Options) -> None:
@@ -32,7 +32,7 @@ def main(options: Options) -> None:
     prior = upslope.load_prior("cartpole")
     name, pole = "upslope/ContinuousCartPole-v0", {"length": options.length}
     for shaped in (False, True):
-        envs = make_vec_env(name, env_kwargs=pole)  # each in a monitor of its own: raw returns
+        envs = make_vec_env(name, env_kwargs=pole)  # each with its own monitor, which reports raw returns
         if shaped:
             envs = upslope.shape(envs, prior, gamma=prior.gamma)
         learner = getattr(sb3, options.algorithm)

@@ -24,7 +24,7 @@ class Options:
     """Full length of the pole, in metres."""
     steps: int = 3000
     quick: bool = False
-    """A few steps, to see that all works."""
+    """A short run, to check that everything works."""
 
 
 def main(options: Options) -> None:
@@ -38,7 +38,7 @@ def main(options: Options) -> None:
         "PPO": {"n_steps": 256, "policy_kwargs": {"net_arch": [32, 32]}},
     }  # fmt: skip
     for shaped in (False, True):
-        # The order counts: monitor inside (raw returns), shaping outside.
+        # The order matters: monitor inside (raw returns), shaping outside.
         env: gym.Env = Monitor(gym.make("upslope/CartPole-v0", length=options.length))
         if shaped:
             env = upslope.shape(env, prior, gamma=prior.gamma)

@@ -22,7 +22,7 @@ class Options:
     """Full length of the pole, in metres."""
     steps: int = 3000
     quick: bool = False
-    """A few steps, to see that all works."""
+    """A short run, to check that everything works."""
 
 
 def main(options: Options) -> None:

@@ -20,12 +20,12 @@ class Options:
     """What to run."""
 
     lengths: tuple[float, ...] = (0.8, 1.7, 3.1, 4.6)
-    """One pole of each length, all learned by one network."""
+    """Lengths of the poles; one network learns all of them."""
     steps: int = 3000
-    """Of every pole."""
+    """Steps in every environment."""
     seed: int = 0
     quick: bool = False
-    """A few steps, to see that all works."""
+    """A short run, to check that everything works."""
 
 
 def main(options: Options) -> None:
@@ -41,7 +41,7 @@ def train(options: Options, prior: upslope.Prior, shaped: bool) -> list[float]:
     torch.manual_seed(options.seed)
     rng = np.random.default_rng(options.seed)
     makers = [lambda length=length: gym.make("upslope/CartPole-v0", length=length) for length in options.lengths]
-    # In the same step, so that every step is a transition, and the true successor is in final_obs.
+    # Same-step autoreset: every step is a transition, and the true successor is in final_obs.
     envs = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.SAME_STEP)
     if shaped:
         envs = upslope.shape(envs, prior, gamma=prior.gamma)
@@ -63,7 +63,7 @@ def train(options: Options, prior: upslope.Prior, shaped: bool) -> list[float]:
         for i in np.flatnonzero(done):
             successors[i] = infos["final_obs"][i]
         replay += list(zip(obs, actions, rewards, successors, terminated, strict=True))
-        running += infos.get("raw_reward", rewards)  # what is reported is never shaped
+        running += infos.get("raw_reward", rewards)  # report raw returns only
         returns += running[done].tolist()
         running[done] = 0.0
         obs = following

@@ -1,6 +1,6 @@
 """Tianshou's DQN on a pole that the prior never saw, with and without shaping.
 
-Tianshou pins pandas below 3, so it wants an environment of its own: ``make tianshou`` makes it, and runs the short
+Tianshou pins pandas below 3, so it needs a separate environment: ``make tianshou`` creates it and runs the quick
 form.
 """
 
@@ -29,7 +29,7 @@ class Options:
     """Full length of the pole, in metres."""
     steps: int = 3000
     quick: bool = False
-    """A few steps, to see that all works."""
+    """A short run, to check that everything works."""
 
 
 def main(options: Options) -> None:

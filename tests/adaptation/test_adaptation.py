@@ -1,4 +1,4 @@
-"""Algorithm 2's two steps and the controls beside it: the identities that tie them together."""
+"""Algorithm 2's two steps and its controls: the identities that relate them."""
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ LEVEL = CENTRED.level(PRIOR)
 
 
 def raw(network, obs):
-    """A(s, ·), a number for each action."""
+    """A(s, ·), one number for each action."""
     return network.heads(obs)[1]
 
 
@@ -34,9 +34,9 @@ def after_equation_8(phi, prior=PRIOR):
 
 
 def mean_squared_td_error(q, next_q):
-    """The textbook's, in numpy: mean of (r + d·max Q(s', ·) − Q(s, a))²."""
-    taken = np.take_along_axis(np.asarray(q), np.asarray(BATCH.action)[:, None], 1)[:, 0]
-    return float(np.mean((BATCH.reward + BATCH.discount * np.asarray(next_q).max(-1) - taken) ** 2))
+    """The textbook loss in numpy: the mean of (r + d·max Q(s', ·) − Q(s, a))²."""
+    chosen = np.take_along_axis(np.asarray(q), np.asarray(BATCH.action)[:, None], 1)[:, 0]
+    return float(np.mean((BATCH.reward + BATCH.discount * np.asarray(next_q).max(-1) - chosen) ** 2))
 
 
 def mean_of_pull(network, errors, scores):
@@ -48,8 +48,8 @@ def mean_of_pull(network, errors, scores):
 
 
 def td_errors(rewards, scores, next_scores):
-    taken = jnp.take_along_axis(scores, BATCH.action[:, None], 1)[:, 0]
-    return rewards + BATCH.discount * next_scores.max(-1) - taken
+    chosen = jnp.take_along_axis(scores, BATCH.action[:, None], 1)[:, 0]
+    return rewards + BATCH.discount * next_scores.max(-1) - chosen
 
 
 def test_the_batch_has_both_ordinary_and_terminal_transitions():
@@ -57,7 +57,7 @@ def test_the_batch_has_both_ordinary_and_terminal_transitions():
 
 
 class TestCentring:
-    def test_a_starts_as_q_less_v(self):
+    def test_a_starts_as_q_minus_v(self):
         for obs in BATCH.obs:
             np.testing.assert_allclose(raw(PRIOR, obs) - LEVEL(obs), PRIOR(obs) - PRIOR.value(obs), atol=1e-6)
 
@@ -65,7 +65,7 @@ class TestCentring:
         for obs in BATCH.obs:
             assert float(jnp.max(raw(PRIOR, obs) - LEVEL(obs))) == 0.0
 
-    def test_raw_means_no_level(self):
+    def test_the_raw_advantage_has_no_level(self):
         assert float(RAW.level(PRIOR)(BATCH.obs[0])) == 0.0
 
     def test_the_level_is_the_prior_s_and_stays_frozen(self):
@@ -85,7 +85,7 @@ class TestEquation8:
         assert largest(gradient) == 0.0
 
     def test_shaped_td_error_of_a_is_the_unshaped_one_of_v_plus_a(self):
-        # The appendix' identity, for a φ far from the prior; it needs one mask on Φ(s') and on the bootstrap.
+        # The identity of the appendix, for a φ far from the prior; Φ(s') and the bootstrap must share a mask.
         loss = advantage_step_loss(OTHER, OTHER, BATCH, RAW.level(PRIOR))
         value, advantage = jax.vmap(OTHER.heads)(BATCH.obs)
         next_value, next_advantage = jax.vmap(OTHER.heads)(BATCH.next_obs)
@@ -134,14 +134,14 @@ class TestAlgorithm2:
         expected = descend(between, jax.grad(value_step_loss)(between, BATCH, LEVEL), STEP_SIZE)
         assert_trees_close(updated(CENTRED, OTHER), expected)
 
-    def test_a_shorter_second_step_is_that_much_shorter(self):
+    def test_the_second_step_is_proportional_to_its_step_size(self):
         tenth = updated(Algorithm2(centred=True, value_step=0.1), OTHER)
         between = after_equation_8(OTHER)
         shorter = descend(between, jax.grad(value_step_loss)(between, BATCH, LEVEL), 0.1 * STEP_SIZE)
         assert_trees_close(tenth, shorter)
         assert largest(jax.tree.map(jnp.subtract, tenth, updated(CENTRED, OTHER))) > 1e-3
 
-    def test_the_current_potential_shapes_not_the_prior_s(self):
+    def test_the_current_potential_shapes_and_not_the_prior_s(self):
         shaped_by_prior = descend(OTHER, jax.grad(advantage_step_loss)(OTHER, PRIOR, BATCH, LEVEL), STEP_SIZE)
         moved = np.abs(shaped_by_prior.advantage_head.bias - updated(CENTRED, OTHER).advantage_head.bias)
         assert moved.max() > 1e-3
@@ -179,12 +179,12 @@ class TestFineTuning:
         expected = mean_of_pull(OTHER, td_errors(BATCH.reward, q, next_q), lambda net, obs: net(obs))
         assert_trees_close(jax.grad(fine_tuning_loss)(OTHER, BATCH), expected, rtol=1e-4)
 
-    def test_the_prior_plays_no_part(self):
+    def test_the_prior_has_no_effect(self):
         assert_trees_identical(updated(FineTuning(), OTHER), updated(FineTuning(), OTHER, prior=OTHER))
 
 
 class TestWhereTheArmsMeet:
-    """At φ = θ all arms see one TD error; they differ in what they let it move."""
+    """At φ = θ all arms have the same TD error; they differ in which parameters it changes."""
 
     losses = (
         lambda phi: advantage_step_loss(phi, PRIOR, BATCH, LEVEL),

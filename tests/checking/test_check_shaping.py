@@ -1,4 +1,4 @@
-"""The checker: a zoo of wrong wrappers, each caught by name, and no false alarm on right ones."""
+"""The checker: it identifies each kind of wrong wrapper, and raises no false alarm on correct ones."""
 
 import gymnasium as gym
 import numpy as np
@@ -32,11 +32,11 @@ def caught(wrong, seed, steps):
 
 
 @pytest.mark.parametrize("wrong", WRONG, ids=lambda wrapper: wrapper.__name__)
-def test_each_wrong_wrapper_is_caught_by_its_name_and_no_other(wrong):
+def test_each_wrong_wrapper_has_exactly_its_finding(wrong):
     caught(wrong, 0, 600)
 
 
-def test_two_mistakes_at_once_are_two_findings():
+def test_two_mistakes_give_two_findings():
     report = check_shaping(zoo.LunarLanderStyle(Walk()), phi, GAMMA, steps=600)
     assert names(report) == ["gamma_mismatch", "nonzero_terminal_potential"]
     assert "which is γ = 1 and not 0.9" in report.findings[0].evidence
@@ -79,10 +79,10 @@ def test_an_environment_that_hides_its_final_observation():
 
 
 class ShapedInside(Walk):
-    """Shapes its own reward, and tells the raw one if it is asked to."""
+    """Shapes its own reward, and reports the raw reward if ``report_raw`` is true."""
 
-    def __init__(self, gamma, tells=True):
-        self.gamma, self.tells = gamma, tells
+    def __init__(self, gamma, report_raw=True):
+        self.gamma, self.report_raw = gamma, report_raw
 
     def reset(self, **arguments):
         obs, info = super().reset(**arguments)
@@ -91,7 +91,7 @@ class ShapedInside(Walk):
 
     def step(self, action):
         obs, reward, terminated, truncated, info = super().step(action)
-        info = {"raw_reward": reward} if self.tells else {}
+        info = {"raw_reward": reward} if self.report_raw else {}
         reward += (0.0 if terminated else self.gamma * phi(obs)) - self.last
         self.last = phi(obs)
         return obs, reward, terminated, truncated, info
@@ -108,7 +108,7 @@ class TestBareEnvironments:
         wrong = check_shaping(ShapedInside(0.8), phi, GAMMA, steps=600)
         assert "gamma_mismatch" in names(wrong)
         assert wrong.layer == "ShapedInside"
-        hidden = check_shaping(ShapedInside(GAMMA, tells=False), phi, GAMMA, steps=600)
+        hidden = check_shaping(ShapedInside(GAMMA, report_raw=False), phi, GAMMA, steps=600)
         assert names(hidden) == ["never_applied"]
         assert "info['raw_reward']" in str(hidden)
 
@@ -125,7 +125,7 @@ class TestPotentials:
         assert names(report) == ["bad_potential"]
         assert "shape (2,)" in report.findings[0].evidence
 
-    def test_undefined_at_terminal_states_is_right(self):
+    def test_undefined_at_terminal_states_is_accepted(self):
         class Ending(Walk):
             def step(self, action):
                 obs, reward, terminated, truncated, info = super().step(action)
@@ -220,7 +220,7 @@ def test_an_unshaped_environment_and_a_prior(prior):
     assert check_shaping(PotentialShaping(gym.make("CartPole-v1"), prior, 0.98), prior, 0.98).findings == ()
 
 
-def test_the_environment_is_as_before():
+def test_the_environment_is_unchanged():
     env = PotentialShaping(Walk(), phi, GAMMA)
     before = [dict(vars(layer)) for layer in (env, env.env)]
     check_shaping(env, phi, GAMMA, steps=50)

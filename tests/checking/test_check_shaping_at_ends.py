@@ -1,4 +1,4 @@
-"""The checker where episodes end: clipping that shows nowhere else, kinds of ends that never came, γ = 1."""
+"""The checker where episodes end: clipping that is visible only there, kinds of ends that never occur, γ = 1."""
 
 import gymnasium as gym
 import numpy as np
@@ -16,7 +16,7 @@ def names(report):
 
 
 class OnCartPole(zoo.Right):
-    """With the prior that ships: F is large where a pole falls, and small elsewhere."""
+    """Uses the bundled prior: F is large where a pole falls, and small elsewhere."""
 
     gamma = 0.98
     bounds = totals = (-np.inf, np.inf)
@@ -25,7 +25,7 @@ class OnCartPole(zoo.Right):
         super().__init__(gym.make("CartPole-v1"))
         self.phi = NumpyPotential.load(prior_path("cartpole"))
 
-    def bent(self, added):
+    def transform(self, added):
         return float(np.clip(added, *self.bounds))
 
     def total(self, reward, added):
@@ -60,14 +60,14 @@ class Endless(Walk):
 
 
 class TestKindsOfEnds:
-    def test_all_are_forced_where_none_come_by_themselves(self):
+    def test_all_are_forced_where_none_occur(self):
         right = check_shaping(zoo.Right(Endless()), phi, GAMMA, steps=600)
         assert min(right.counts.values()) >= 3
         assert str(right).endswith(" potential-based: no mistakes were found.")
         wrong = check_shaping(zoo.TerminalPotential(Endless()), phi, GAMMA, steps=600)
         assert names(wrong) == ["nonzero_terminal_potential"]
 
-    def test_those_that_were_not_seen_are_named(self):
+    def test_kinds_that_did_not_occur_are_named(self):
         report = check_shaping(zoo.TerminalPotential(Walk()), phi, GAMMA, steps=1)
         assert names(report)[0] == "not_judged"
         assert "kinds: terminated, truncated, both." in report.findings[0].evidence
@@ -75,7 +75,7 @@ class TestKindsOfEnds:
         assert "Potential-based" not in str(report)
 
 
-def test_with_a_gamma_of_one_a_bias_shows_at_terminations_alone():
+def test_with_a_gamma_of_one_a_bias_is_visible_only_at_terminations():
     for scale, bias in ((1.0, 3.0), (0.3, -2.0)):
         shaped = PotentialShaping(Walk(), phi, 1.0, scale=scale, bias=bias)
         assert check_shaping(shaped, phi, 1.0, steps=600).findings == ()

@@ -1,4 +1,4 @@
-"""What the checker refuses, in one clear sentence each."""
+"""Bad input of the checker: each kind raises a clear error."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_bad_settings(setting, words):
         check_shaping(Walk(), phi, GAMMA, **setting)
 
 
-def test_numbers_of_numpy_are_numbers():
+def test_numpy_scalars_are_accepted():
     report = check_shaping(zoo.Right(Walk()), phi, np.float32(GAMMA), steps=np.int64(600), seed=np.int64(0))
     assert report.findings == ()
 

@@ -90,7 +90,7 @@ def shaped_by_another():
 
 class TestWorkerProcesses:
     @MODES
-    def test_shaping_inside_them_is_judged_by_the_raw_rewards_they_report(self, mode):
+    def test_shaping_inside_them_is_checked_with_their_reported_raw_rewards(self, mode):
         env = AsyncVectorEnv([shaped] * 2, autoreset_mode=mode, context="spawn")
         right = check_shaping(env, phi, GAMMA, steps=300)
         wrong = check_shaping(env, phi, 0.95, steps=300)
@@ -113,8 +113,8 @@ class TestWorkerProcesses:
         assert "not_judged" in names(report)
         assert not report.ok
         assert "kinds: truncated, both" in report.findings[0].evidence
-        beside = vectors.VectorZeroedAtTruncation(SyncVectorEnv([cartpole] * 2))
-        assert "zeroed_at_truncation" in names(check_shaping(beside, phi, GAMMA, steps=200))
+        in_process = vectors.VectorZeroedAtTruncation(SyncVectorEnv([cartpole] * 2))
+        assert "zeroed_at_truncation" in names(check_shaping(in_process, phi, GAMMA, steps=200))
 
 
 def test_a_vector_without_sub_environments():
@@ -122,7 +122,7 @@ def test_a_vector_without_sub_environments():
     assert names(check_shaping(env, phi, GAMMA, steps=100))[0] == "never_applied"
 
 
-class Swelling(Walk):
+class GrowingObservations(Walk):
     """Its observations grow after a few steps."""
 
     steps = 0
@@ -134,7 +134,7 @@ class Swelling(Walk):
 
 
 class Nested(gym.ObservationWrapper):
-    """The same within a dictionary and a tuple."""
+    """The same inside a dictionary and a tuple."""
 
     def __init__(self, env):
         super().__init__(env)
@@ -148,14 +148,14 @@ class TestObservationsThatChangeShape:
     @pytest.mark.parametrize(
         "env",
         [
-            lambda: PotentialShaping(Swelling(), phi, GAMMA),
-            lambda: zoo.Right(Swelling()),
-            lambda: VectorShaping(SyncVectorEnv([Swelling] * 2), phi, GAMMA),
-            lambda: SyncVectorEnv([lambda: zoo.Right(Swelling())] * 2),
+            lambda: PotentialShaping(GrowingObservations(), phi, GAMMA),
+            lambda: zoo.Right(GrowingObservations()),
+            lambda: VectorShaping(SyncVectorEnv([GrowingObservations] * 2), phi, GAMMA),
+            lambda: SyncVectorEnv([lambda: zoo.Right(GrowingObservations())] * 2),
         ],
         ids=["ours", "theirs", "vector", "sub-environments"],
     )
-    def test_have_a_finding_of_their_own(self, env):
+    def test_have_their_own_finding(self, env):
         report = check_shaping(env(), phi, GAMMA, steps=100)
         assert names(report) == ["wrong_observation_shape"]
         assert "of shape (3,), but its observation space says (2,)" in report.findings[0].evidence
@@ -166,6 +166,6 @@ class TestObservationsThatChangeShape:
         def inner(obs):
             return phi(obs["parts"][0])
 
-        report = check_shaping(PotentialShaping(Nested(Swelling()), inner, GAMMA), inner, GAMMA, steps=100)
+        report = check_shaping(PotentialShaping(Nested(GrowingObservations()), inner, GAMMA), inner, GAMMA, steps=100)
         assert names(report) == ["wrong_observation_shape"]
         assert check_shaping(PotentialShaping(Nested(Walk()), inner, GAMMA), inner, GAMMA, steps=300).findings == ()

@@ -100,13 +100,13 @@ class TestEquation6:
         assert float(jnp.max(q_row(n(1.5), jnp.array([1.0, 4.0, 2.0])))) == 1.5
 
     @given(heads)
-    def test_value_is_exactly_the_best_action_value(self, drawn):
-        value, advantage = drawn
+    def test_value_is_exactly_the_best_action_value(self, row):
+        value, advantage = row
         assert float(jnp.max(q_row(n(value), jnp.asarray(advantage)))) == value
 
     @given(heads)
-    def test_best_action_is_the_advantage_head_s(self, drawn):
-        value, advantage = drawn
+    def test_best_action_is_the_advantage_head_s(self, row):
+        value, advantage = row
         q = np.asarray(q_row(n(value), jnp.asarray(advantage)))
         assert q[int(np.argmax(advantage))] == q.max()
 

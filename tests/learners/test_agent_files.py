@@ -1,4 +1,4 @@
-"""Files of agents: every damage ends in a typed error, and nothing is overwritten."""
+"""Files of agents: damaged files raise a typed error, and existing files are not overwritten."""
 
 import json
 
@@ -31,7 +31,7 @@ def agent():
 
 
 def write(path, agent, header=None, tensors=None, version=FORMAT_VERSION, kind=FORMAT):
-    """A file with valid checksums and any content."""
+    """Writes a file with valid checksums and arbitrary content."""
     agent.save(path)
     stored = storage.read(path, FORMAT, FORMAT_VERSION)
     about = stored.header["trained_on"] | (header or {})
@@ -89,7 +89,7 @@ def test_every_flipped_byte_of_the_header_and_some_others(agent, tmp_path):
     ],
     ids=json.dumps,
 )
-def test_headers_that_make_no_agent(header, agent, tmp_path):
+def test_invalid_headers(header, agent, tmp_path):
     write(tmp_path / "agent.safetensors", agent, header)
     with pytest.raises(DamagedFileError, match="train the agent again"):
         Agent.load(tmp_path / "agent.safetensors")
@@ -122,7 +122,7 @@ def test_other_files(agent, tmp_path, prior):
     assert not isinstance(caught.value, DamagedFileError)
 
 
-def test_nothing_is_overwritten_unless_it_is_asked_for(agent, tmp_path):
+def test_files_are_overwritten_only_on_request(agent, tmp_path):
     path = tmp_path / "agent.safetensors"
     agent.save(path)
     before = path.read_bytes()

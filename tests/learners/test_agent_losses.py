@@ -1,4 +1,4 @@
-"""What DQN and DDPG descend on, against numpy; and that target networks lag behind by their rate."""
+"""The losses of DQN and DDPG compared with numpy; target networks follow at their rate."""
 
 import equinox as eqx
 import jax
@@ -21,13 +21,13 @@ THRESHOLD = 0.5
 
 
 def mean_huber(errors):
-    """Squares up to the threshold, their tangent beyond it."""
+    """The square up to the threshold, its tangent beyond."""
     size = np.abs(errors)
     assert size.min() < THRESHOLD < size.max(), "both branches are looked at"
     return float(np.mean(np.where(size <= THRESHOLD, size**2, THRESHOLD**2 + 2 * THRESHOLD * (size - THRESHOLD))))
 
 
-@eqx.filter_jit  # one program instead of one for every shape that is drawn
+@eqx.filter_jit  # one program, not one for every array shape
 def networks(kind, count):
     return [kind(key, *SIZES) for key in jax.random.split(jax.random.key(0), count)]
 
@@ -74,7 +74,7 @@ class TestDDPG:
     critic, target_critic = networks(Critic, 2)
     batch = BATCH._replace(action=jax.random.uniform(jax.random.key(5), (8, ACTIONS), minval=-1))
 
-    def test_the_critic_bootstraps_by_both_target_networks(self):
+    def test_the_critic_bootstraps_from_both_target_networks(self):
         errors = []
         for obs, action, reward, discount, next_obs in zip(*self.batch, strict=True):
             next_q = self.target_critic(next_obs, self.target_actor.best(next_obs))
@@ -99,8 +99,8 @@ class TestAdam:
             steps.append(float(change))
         return steps[0], steps[4]
 
-    def test_its_step_size_is_kept(self):
+    def test_its_step_size_is_constant_by_default(self):
         assert self.first_and_fifth_step(0) == pytest.approx((-0.5, -0.5), rel=1e-3)
 
-    def test_or_falls_linearly_to_zero(self):
+    def test_its_step_size_can_fall_linearly_to_zero(self):
         assert self.first_and_fifth_step(4) == pytest.approx((-0.5, 0.0), rel=1e-3)

@@ -1,4 +1,4 @@
-"""Learners on probe environments whose values are known by hand: what is learned is right, not just better."""
+"""Learners on probe environments with values computed by hand: the learned values must be right, not just better."""
 
 import jax
 import jax.numpy as jnp
@@ -35,12 +35,12 @@ def train(learners, updates, every=None):
 
 
 def at_every_place(networks, function=lambda network, obs: network(obs)):
-    """What stacked networks say of each place ``[learners, places, ...]``."""
+    """The outputs of stacked networks at each place ``[learners, places, ...]``."""
     return np.asarray(jax.vmap(lambda network: jax.vmap(lambda obs: function(network, obs))(OBS))(networks))
 
 
 def assert_learned(learned, expected, tolerance=0.05):
-    """Equal where episodes come."""
+    """Checks equality at the places that episodes visit."""
     expected = np.asarray(expected, float)
     visited = np.isfinite(expected)
     np.testing.assert_allclose(learned[visited], expected[visited], rtol=0, atol=tolerance)
@@ -65,7 +65,7 @@ class TestDQN:
         assert outcome.reports["return"][index, -1] == probes.DISCRETE[name][2]
 
     @pytest.mark.slow
-    def test_a_learner_alone_begins_as_it_does_among_others(self, outcome):
+    def test_a_single_learner_starts_as_it_does_in_a_batch(self, outcome):
         keys = jax.random.split(jax.random.key(0), len(probes.DISCRETE))
         for index in (0, 5):
             task = list(probes.DISCRETE.values())[index][0]
@@ -81,9 +81,9 @@ SHAPED = {
     # Q = γ − 2 and 1 + 3
     "two steps": (probes.two_steps, potential_based(table_potential(2, -3)), [[GAMMA - 2] * 2, [4, 4]]),
     "choices": (probes.choices, potential_based(table_potential(1, -1)), [[-1, GAMMA - 1], [2, 0]]),
-    # F = γ·2 − 2 in every step, cut short or not: Q = 5 − 2.
+    # F = γ·2 − 2 in every step, truncated or not: Q = 5 − 2.
     "truncation only": (probes.truncation_only, potential_based(table_potential(2, 9)), [[3, 3], [np.nan] * 2]),
-    # Φ = V*: what is left is the advantage.
+    # Φ = V*: the shaped Q is the advantage.
     "optimal potential": (probes.choices, potential_based(table_potential(GAMMA, 1)), [[-GAMMA, 0], [0, -2]]),
     # Φ(terminal) kept: Q = 1 + γ·5 − 2
     "not invariant": (
@@ -166,7 +166,7 @@ class TestMetaTraining:
         learned = at_every_place(outcome.states.average, lambda network, obs: network.value(obs))
         np.testing.assert_allclose(learned[0], [GAMMA, 1.0], atol=0.1)
 
-    def test_the_q_of_the_best_actions_is_learned_with_it(self, outcome):
+    def test_q_of_the_best_actions_is_learned_too(self, outcome):
         assert_learned(at_every_place(outcome.states.average)[0], probes.DISCRETE["choices"][1], 0.1)
 
     def test_the_prior_acts_optimally_in_the_report(self, outcome):
@@ -184,7 +184,7 @@ RULES = {"Algorithm 2": Algorithm2(), "frozen": FrozenPotential(), "centred TD":
 
 
 class TestAdaptation:
-    """Each update rule reaches the fixed point that its equations have; one program runs them all."""
+    """Each update rule reaches the fixed point of its equations; one program runs them all."""
 
     @pytest.fixture(scope="class")
     @staticmethod
@@ -202,7 +202,7 @@ class TestAdaptation:
     @pytest.fixture
     @staticmethod
     def heads(outcome, request):
-        """V ``[places, 1]`` and A ``[places, actions]`` of the rule that the test's class attribute names."""
+        """V ``[places, 1]`` and A ``[places, actions]`` of the requested rule."""
         index = list(RULES).index(request.param)
         phi = jax.tree.map(lambda leaf: leaf[index : index + 1], outcome.states.phi)
         value, advantage = (at_every_place(phi, lambda net, obs, i=i: net.heads(obs)[i])[0] for i in (0, 1))
@@ -216,7 +216,7 @@ class TestAdaptation:
         np.testing.assert_allclose(advantage - PRIOR_LEVEL, Q - best, atol=0.05)
 
     @pytest.mark.parametrize("heads", ["frozen"], indirect=True)
-    def test_with_the_potential_frozen_a_learns_q_of_the_shaped_task(self, heads):
+    def test_with_a_frozen_potential_a_learns_q_of_the_shaped_task(self, heads):
         np.testing.assert_allclose(heads[1] - PRIOR_LEVEL, Q - PRIOR_VALUE, atol=0.05)  # Eq. 1 with Φ = V_θ
 
     @pytest.mark.parametrize("heads", ["centred TD"], indirect=True)
@@ -229,7 +229,7 @@ class TestAdaptation:
         value, advantage = heads
         np.testing.assert_allclose(value + advantage - advantage.max(-1, keepdims=True), Q, atol=0.05)
 
-    def test_all_act_optimally_in_the_end(self, outcome):
+    def test_all_final_policies_are_optimal(self, outcome):
         np.testing.assert_array_equal(outcome.reports["return"][:, -1], 1.0)
 
     def test_all_start_from_the_prior(self, outcome):

@@ -1,4 +1,4 @@
-"""What learners report: exact on maps, and the same as playing; sampled elsewhere."""
+"""The reported returns of learners: exact on maps and equal to rollouts; sampled elsewhere."""
 
 import jax
 import jax.numpy as jnp
@@ -23,22 +23,22 @@ def maps():
 
 
 def by_table(q):
-    """Acts by a table over cells."""
+    """A greedy policy from a Q-table over cells."""
     return Greedy(Scores(lambda obs: q[FAMILY.env.state_number(obs)]))
 
 
-def test_the_report_is_what_playing_shows(maps):
+def test_the_report_equals_a_rollout(maps):
     tables = jnp.asarray(np.random.default_rng(1).normal(size=(30, 16, 4)), jnp.float32)
 
     @jax.jit
     @jax.vmap
     def both(task, q):
         alone = jax.tree.map(lambda leaf: leaf[None], task)
-        played = FAMILY.returns(jax.random.key(2), alone, by_table(q))[0]
-        return exact_report(FAMILY, task, by_table(q)), played
+        rollout_return = FAMILY.returns(jax.random.key(2), alone, by_table(q))[0]
+        return exact_report(FAMILY, task, by_table(q)), rollout_return
 
-    exact, played = both(maps, tables)
-    np.testing.assert_array_equal(exact["return"], played)
+    exact, rollout_return = both(maps, tables)
+    np.testing.assert_array_equal(exact["return"], rollout_return)
     assert 0 < exact["return"].sum() < 30
 
 
@@ -55,7 +55,7 @@ def test_the_optimal_policy_earns_the_optimal_value(maps):
         assert float(report["discounted_return"]) == pytest.approx(float(solution.value[task.start]), rel=1e-5)
 
 
-def test_an_episode_ends_after_its_steps():
+def test_an_episode_ends_at_the_step_limit():
     task = read_map("S...G")
     mdp = tabulate(grid_games((1, 5)).env, task, 0.9)
     right = jax.nn.one_hot(jnp.full(5, 3), 4)
@@ -72,7 +72,7 @@ def test_a_trap_costs_its_penalty():
     assert float(report["return"]) == -0.5
 
 
-def test_poles_are_played():
+def test_poles_are_evaluated_by_rollouts():
     family = cartpoles()
     task = family.sample(jax.random.key(0))
     policy = Greedy(Scores(lambda obs: obs[2:3] * jnp.asarray([-1, 1]), 2))

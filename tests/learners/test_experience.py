@@ -1,4 +1,4 @@
-"""A learner's experience of one task: raw rewards, F beside them, episodes that go on from update to update."""
+"""A learner's experience of one task: raw rewards, F stored separately, and episodes that continue across updates."""
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ RANDOM = EpsilonGreedy(Scores(jnp.flip, ACTIONS), 1.0)
 
 
 def experience(shaping=None, *, task=None, chunks=(6, 6)):
-    """Twelve steps of random actions, taken in chunks."""
+    """Twelve steps of random actions, collected in chunks."""
 
     def take(key, task):
         keys = jax.random.split(key, 1 + len(chunks))
@@ -39,7 +39,7 @@ class TestRecords:
         np.testing.assert_array_equal(shaped.replay.data.transition.reward, raw.replay.data.transition.reward)
         assert set(np.asarray(raw.replay.data.transition.reward).tolist()) == {0.0, 1.0}
 
-    def test_f_is_kept_beside_them(self):
+    def test_f_is_stored_next_to_them(self):
         data = experience(potential_based(POTENTIAL)).replay.data
         first = np.asarray(data.transition.obs[:, 0] == 1)
         # From the first place 0.8·(−3) − 2; from the second, where the episode ends, −(−3).
@@ -54,16 +54,16 @@ class TestRecords:
     def test_without_shaping_there_is_no_f(self):
         assert experience().replay.data.added is None
 
-    def test_samples_are_of_the_records(self):
+    def test_samples_come_from_the_records(self):
         sample = experience(potential_based(POTENTIAL)).sample(jax.random.key(0), 50)
         first = np.asarray(sample.transition.obs[:, 0] == 1)
         np.testing.assert_allclose(sample.added, np.where(first, -4.4, 3.0), rtol=1e-6)
 
 
-class TestGoingOn:
+class TestContinuation:
     @pytest.mark.parametrize("chunks", [(12,), (1, 1, 3, 7)])
-    def test_an_episode_goes_on_from_one_update_to_the_next(self, chunks):
-        # Two-step episodes: first place, second place, first place, … however the twelve steps are cut.
+    def test_an_episode_continues_in_the_next_update(self, chunks):
+        # Two-step episodes: first place, second place, first place, … however the twelve steps are split.
         data = experience(chunks=chunks).replay.data
         np.testing.assert_array_equal(data.transition.obs[:, 1], [0, 1] * 6)
 
@@ -89,13 +89,13 @@ class TestTables:
     MAPS = obstacle_maps()
 
     @pytest.mark.parametrize(("steps", "tables"), [(22, 1), pytest.param(21, 0, marks=pytest.mark.slow)])
-    def test_the_same_steps_as_the_network_itself_takes(self, steps, tables, monkeypatch):
-        """64 states are cheaper together than 22 of them one by one."""
+    def test_the_same_steps_as_with_the_network(self, steps, tables, monkeypatch):
+        """Evaluating all 64 states together is cheaper than 22 of them one by one."""
         task, network = self.MAPS.sample(jax.random.key(1)), QNetwork(jax.random.key(2), (8, 8, 4), 4, (8, 8))
         remembered = Experience.start(jax.random.key(3), self.MAPS, task, 32)
         policy = EpsilonGreedy(network, 0.3)
-        made = []
-        monkeypatch.setattr(lookups, "BestTable", lambda *table: made.append(table) or BestTable(*table))
+        created = []
+        monkeypatch.setattr(lookups, "BestTable", lambda *table: created.append(table) or BestTable(*table))
 
         def act(key):
             return remembered.act(key, self.MAPS, task, policy, steps)[1]
@@ -104,13 +104,13 @@ class TestTables:
             alone = jax.tree.map(lambda leaf: leaf[None], task)
             return self.MAPS.collect(key, alone, remembered.running, policy, steps)[1]
 
-        found, expected = jax.jit(act)(jax.random.key(4)), jax.jit(plainly)(jax.random.key(4))
-        for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        actual, expected = jax.jit(act)(jax.random.key(4)), jax.jit(plainly)(jax.random.key(4))
+        for ours, theirs in zip(jax.tree.leaves(actual), jax.tree.leaves(expected), strict=True):
             np.testing.assert_array_equal(ours, theirs[0])
-        assert len(made) == tables
-        assert len(set(np.asarray(found.action).tolist())) > 1
+        assert len(created) == tables
+        assert len(set(np.asarray(actual.action).tolist())) > 1
 
-    def test_where_states_can_t_be_listed_a_policy_does_not_change(self):
+    def test_a_policy_is_unchanged_where_states_cannot_be_listed(self):
         poles = cartpoles()
         policy = EpsilonGreedy(QNetwork(jax.random.key(2), 4, 2, (8,)), 0.3)
         assert lookups.policy_with_table(poles, poles.sample(jax.random.key(1)), policy, 1000) is policy

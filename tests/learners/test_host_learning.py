@@ -1,4 +1,4 @@
-"""Every learner on host families, through the same loop: same phases, finite numbers, checkpoints, learning."""
+"""Every learner on host families, through the same loop: the same phases, finite numbers, checkpoints, learning."""
 
 import dataclasses
 
@@ -36,7 +36,7 @@ def poles(make=host.short_pole):
     return GymnasiumTasks(host.length, make, 0.98, name="cartpole", observation_scale=host.SCALE)
 
 
-#: One family for all, so that they share compiled programs.
+#: One family for all tests, so that they share compiled programs.
 FAMILY = poles()
 
 
@@ -89,7 +89,7 @@ def test_ddpg(prior):
 
 
 @pytest.mark.slow
-def test_several_learners_take_turns_and_do_not_touch_each_other():
+def test_several_learners_take_turns_without_affecting_each_other():
     family = FAMILY
     tasks = family.sample_many(jax.random.key(5), 2)
     keys = jax.random.split(jax.random.key(0), 2)
@@ -104,7 +104,7 @@ def test_several_learners_take_turns_and_do_not_touch_each_other():
         )
 
 
-def test_a_chunk_is_as_good_as_its_parts():
+def test_a_chunk_equals_its_parts():
     learners = broadcast(MetaTraining(FAMILY, SMALL), (1,))
     keys = jax.random.key(0)[None]
     ends = [run(learners, keys, updates=4, every=every).states.theta for every in (4, 2)]
@@ -122,13 +122,13 @@ def test_on_the_host_the_network_of_one_iteration_ago_acts():
     assert max(jax.tree.leaves(moved)) > 0
 
 
-def test_what_is_gathered_ahead_is_what_the_next_step_would_gather():
+def test_gathering_ahead_equals_gathering_in_the_next_step():
     learner = MetaTraining(FAMILY, SMALL)
     state, _ = learner.step(learner.init(jax.random.key(0)))
     ahead = learner.gather_ahead(state)
     following, _ = learner.step(state)
-    for found, expected in zip(ahead(), learner.gather(following), strict=True):
-        np.testing.assert_array_equal(found, expected)
+    for actual, expected in zip(ahead(), learner.gather(following), strict=True):
+        np.testing.assert_array_equal(actual, expected)
 
 
 def test_in_compiled_environments_the_newest_network_acts():
@@ -138,7 +138,7 @@ def test_in_compiled_environments_the_newest_network_acts():
 
 
 @pytest.mark.slow
-def test_workers_of_their_own_learn_the_same():
+def test_worker_processes_give_the_same_learning():
     family = GymnasiumTasks(
         host.length, host.short_pole, 0.98, name="cartpole", observation_scale=host.SCALE, mode="async"
     )
@@ -153,13 +153,13 @@ def test_algorithm_1_needs_discrete_actions(family):
         upslope.meta_train(family, config=SMALL)
 
 
-def test_a_potential_that_jax_can_t_trace_is_reported_in_one_line():
+def test_a_potential_that_jax_cannot_trace_raises_a_clear_error():
     with pytest.raises(UpslopeError, match=r"write it with jax\.numpy") as caught:
         upslope.train(FAMILY, FAMILY.sample(jax.random.key(0)), lambda obs: -abs(float(obs[2])), updates=1, every=1)
     assert "\n" not in str(caught.value)
 
 
-def test_shapes_are_found_without_an_environment():
+def test_shapes_are_known_without_an_environment():
     lengths = []
 
     def make(length):
@@ -189,7 +189,7 @@ def test_a_resumed_run_starts_new_episodes_and_warns(tmp_path):
     assert int(resumed.states.experience.replay.added[0]) == 16 + 12
 
 
-def test_trouble_on_the_host_is_named():
+def test_failures_on_the_host_are_named():
     open_poles = set()
 
     class NaNs(gym.RewardWrapper):
@@ -203,7 +203,9 @@ def test_trouble_on_the_host_is_named():
         def close(self):
             open_poles.discard(self)
 
-    family = poles(lambda length: NaNs(host.short_pole(length)))  # the programs are those of the other tests
+    family = poles(
+        lambda length: NaNs(host.short_pole(length))
+    )  # the same settings as the other tests, to reuse their programs
     with pytest.raises(UpslopeError, match="DQN: reward of learner 0 is not a finite number at update 1"):
         upslope.train(family, family.sample(jax.random.key(0)), updates=3, every=1, config=DQN_SMALL)
     assert not open_poles, "environments are closed whatever happens"
@@ -219,6 +221,6 @@ def test_a_prior_meta_trained_on_gymnasium_s_own_environments_learns_to_balance(
     assert np.median(returns) > 100, returns
 
 
-def test_a_setting_of_the_simulator_is_no_task():
+def test_a_setting_of_the_simulator_is_not_a_task():
     with pytest.raises(UpslopeError, match=r"what family\.sample\(key\) returns.*sample\(rng\) returns it"):
         upslope.train(FAMILY, 1.0, updates=2, every=1, config=DQN_SMALL)

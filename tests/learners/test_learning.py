@@ -1,4 +1,4 @@
-"""The slow tier: real training, on seeds and tasks that nothing was tuned on. `make test-slow` runs it."""
+"""The slow tier: real training, on seeds and tasks that were not used for tuning. `make test-slow` runs it."""
 
 import jax
 import numpy as np
@@ -30,7 +30,7 @@ def test_every_one_of_ten_priors_acts_well_before_learning() -> None:
     assert returns.mean(axis=1).min() >= 195
 
 
-def test_algorithm_1_to_the_letter_collapses() -> None:
+def test_algorithm_1_as_printed_collapses() -> None:
     """Documented in docs/deviations.md; if this ever fails, that page is wrong."""
     family = cartpoles()
     priors = meta_train_priors(family, as_printed(), FRESH, 5)
@@ -40,7 +40,7 @@ def test_algorithm_1_to_the_letter_collapses() -> None:
 
 
 @pytest.mark.parametrize(("panel", "gain"), [("middle", 1.4), ("right", 1.7)])
-def test_shaping_pays(figure: FigureResult, panel: str, gain: float) -> None:
+def test_shaping_improves_learning(figure: FigureResult, panel: str, gain: float) -> None:
     means = {name: arm.returns.mean() for name, arm in figure.panels[panel].arms.items()}
     assert means["prior"] >= gain * means["unshaped"]
     assert means["prior"] >= 1.2 * means["constant"]
@@ -51,8 +51,8 @@ def test_algorithm_2_is_ahead_of_maml_from_a_half_trained_prior(figure: FigureRe
     assert arms["algorithm2"].returns.mean() > arms["maml"].returns.mean()
 
 
-def test_a_tenth_of_the_training_on_maps_orders_the_cells_of_unseen_ones() -> None:
-    """After 600 iterations of its own schedule: means of 0.51 and 0.43 were measured; an untrained V knows no order."""
+def test_a_tenth_of_the_training_ranks_the_cells_of_unseen_maps() -> None:
+    """600 iterations with their own schedule; measured means 0.51 and 0.43. An untrained V does not rank cells."""
     priors = meta_train_priors(obstacle_maps("train"), for_grid_games(600), FRESH, 2)
     unseen = obstacle_maps("test")
     maps = unseen.sample_many(key_for(FRESH, Purpose.TEST_TASKS), 40)

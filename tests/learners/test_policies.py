@@ -12,7 +12,7 @@ MANY = 20_000
 
 
 def same(obs):
-    """An observation is its own scores, or its own action."""
+    """The identity: observations are scores or actions."""
     return obs
 
 
@@ -64,7 +64,7 @@ def test_each_environment_can_have_its_own_epsilon(obs):
 def test_environments_explore_independently(obs):
     policy = EpsilonGreedy(SCORES, 0.5)
     first, second = (act(policy, obs, seed) != obs.argmax(-1) for seed in (1, 2))
-    # Of 0.375 strayed each, 0.375² would stray in both draws by chance.
+    # Each of two draws deviates with probability 0.375, so both do with 0.375².
     assert (first & second).mean() == pytest.approx(0.375**2, abs=0.012)
 
 
@@ -74,7 +74,7 @@ class TestActors:
     def test_greedy_takes_the_actor_s_own_action(self):
         np.testing.assert_array_equal(act(Greedy(ACTOR), self.actions), self.actions)
 
-    def test_noise_of_zero_is_no_noise(self):
+    def test_zero_noise_changes_nothing(self):
         np.testing.assert_array_equal(act(Noisy(ACTOR, 0.0), self.actions), self.actions)
 
     def test_noise_is_clipped_to_the_range_of_actions(self):
@@ -88,5 +88,5 @@ class TestActors:
         assert noise.std() == pytest.approx(0.1, abs=0.003)
 
 
-def test_a_network_without_a_numpy_form_is_not_for_the_host():
+def test_a_network_without_a_numpy_form_is_refused_on_the_host():
     assert Greedy(SCORES).on_host(jax.random.split(jax.random.key(0), 2), 3) is None

@@ -15,7 +15,7 @@ chunks_of_records = st.lists(st.integers(1, CAPACITY), max_size=6)
 
 
 def record(number):
-    """A record with two leaves of different shapes and types, both telling its number."""
+    """A record with two leaves of different shapes and types, both containing its number."""
     return {"id": jnp.asarray(number, jnp.int32), "pair": jnp.asarray([number, -number], jnp.float32)}
 
 
@@ -24,7 +24,7 @@ def records(numbers):
 
 
 def filled(sizes):
-    """A replay after chunks of these sizes, with the numbers that went in."""
+    """A replay after chunks of these sizes, and the numbers that were added."""
     replay, numbers = Replay.empty(record(0), CAPACITY), []
     for size in sizes:
         new = list(range(len(numbers) + 1, len(numbers) + 1 + size))
@@ -37,7 +37,7 @@ def drawn(replay, count=400, seed=0):
 
 
 @given(chunks_of_records)
-def test_it_holds_the_newest_like_a_plain_list(sizes):
+def test_it_holds_the_newest_records_like_a_plain_list(sizes):
     replay, numbers = filled(sizes)
     newest = numbers[-CAPACITY:]
     present = min(int(replay.added), CAPACITY)
@@ -51,9 +51,9 @@ def test_samples_are_present_records_and_every_one_is_drawn(sizes):
     assert set(np.asarray(drawn(replay)["id"]).tolist()) == set(numbers[-CAPACITY:])
 
 
-def test_the_oldest_make_room_in_order():
+def test_the_oldest_records_are_replaced_in_order():
     replay, _ = filled([3, 2])
-    # 1, 2, 3, 4 fill the ring; 5 takes the place of 1.
+    # 1, 2, 3, 4 fill the ring; 5 replaces 1.
     assert replay.data["id"].tolist() == [5, 2, 3, 4]
 
 
@@ -76,7 +76,7 @@ def test_sampling_is_uniform(present):
     ids = np.asarray(drawn(filled([present])[0], count)["id"])
     observed = np.bincount(ids, minlength=present + 1)[1:]
     expected = count / present
-    # χ² with 2 or 3 degrees of freedom exceeds 20 once in 5,000 and more draws; the key is fixed.
+    # χ² with 2 or 3 degrees of freedom exceeds 20 less than once in 5,000 draws; the key is fixed.
     assert np.sum((observed - expected) ** 2 / expected) < 20
 
 
@@ -85,7 +85,7 @@ def test_different_keys_draw_different_records():
     assert drawn(replay, seed=0)["id"].tolist() != drawn(replay, seed=1)["id"].tolist()
 
 
-def test_adding_changes_no_replay_given():
+def test_adding_does_not_change_the_original_replay():
     replay, _ = filled([2])
     before = replay.data["id"].tolist()
     replay.add(records([9]))
@@ -93,7 +93,7 @@ def test_adding_changes_no_replay_given():
     assert int(replay.added) == 2
 
 
-def test_a_replay_of_given_records_is_full_of_exactly_them():
+def test_a_replay_of_given_records_contains_exactly_these():
     replay = Replay.of(records([7, 8, 9]))
     assert (replay.capacity, int(replay.added)) == (3, 3)
     assert set(np.asarray(drawn(replay)["id"]).tolist()) == {7, 8, 9}

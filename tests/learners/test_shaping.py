@@ -20,7 +20,7 @@ def level(obs):
 
 
 def transitions(levels, next_levels, terminated):
-    """Transitions whose Φ(s) and Φ(s') are as given, of reward 1."""
+    """Transitions with the given Φ(s) and Φ(s') and reward 1."""
     count = len(levels)
 
     def observations(first):
@@ -30,7 +30,7 @@ def transitions(levels, next_levels, terminated):
     return Transition(observations(levels), jnp.zeros(count, int), jnp.ones(count), discount, observations(next_levels))
 
 
-#: An ordinary or truncated step (γ is kept, so nothing tells them apart), a terminated step, both at once (terminated).
+#: An ordinary or truncated step (γ is kept, so they look the same), a terminated step, both at once (terminated).
 HAND_MADE = transitions([2.0, 2.0, -1.0], [5.0, 5.0, 3.0], [False, True, True])
 ORDINARY_OR_TRUNCATED, TERMINATED, BOTH = 0, 1, 2
 
@@ -44,7 +44,7 @@ def test_truncation_keeps_the_successor_s_potential(added):
     assert float(added[ORDINARY_OR_TRUNCATED]) == pytest.approx(0.9 * 5 - 2)
 
 
-def test_termination_counts_the_successor_s_potential_as_zero_and_still_pays(added):
+def test_termination_counts_the_successor_s_potential_as_zero_and_subtracts_phi(added):
     assert float(added[TERMINATED]) == -2.0
 
 
@@ -100,7 +100,7 @@ def test_discounted_sum_over_a_truncated_episode_leaves_the_last_potential(level
 
 
 @given(potentials, st.floats(-10, 10))
-def test_a_constant_potential_drips_on_ordinary_steps_and_is_paid_back_at_the_end(levels, constant):
+def test_a_constant_potential_costs_a_little_on_ordinary_steps_and_itself_at_the_end(levels, constant):
     episode = transitions(levels[:-1], levels[1:], [False] * (STEPS - 1) + [True])
     added = jax.jit(lambda c, batch: potential_based(lambda _: c).rewards(batch))(jnp.asarray(constant), episode)
     np.testing.assert_allclose(added[:-1], (GAMMA - 1) * constant, atol=1e-5)

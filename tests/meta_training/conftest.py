@@ -1,4 +1,4 @@
-"""Two small maps, seen by Algorithm 1 before its first iteration."""
+"""Two small maps, and Algorithm 1's state and experience before its first iteration."""
 
 import dataclasses
 
@@ -37,7 +37,7 @@ def tasks(maps):
 
 @pytest.fixture(scope="module")
 def samples(meta, state, tasks):
-    """Everything that was seen of both maps."""
+    """All experience from both maps."""
     return jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta)())(tasks)
 
 
@@ -48,5 +48,5 @@ def theta(state):
 
 @pytest.fixture(scope="module")
 def observations(samples):
-    """Of every state of the first map."""
+    """Observations of every state of the first map."""
     return samples.observations[0]

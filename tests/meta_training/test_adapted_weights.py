@@ -1,4 +1,4 @@
-"""Posteriors that adapt weights to all that was seen of a finite task: the two heads, or the whole network."""
+"""Posteriors that adapt weights to all experience from a finite task: the two heads, or the whole network."""
 
 import dataclasses
 
@@ -21,35 +21,35 @@ STEPS = steps_of((0, 0, 0.5, 0.9, 1, 1.0), (5, 2, 1.0, 0.0, 0, 0.5), (5, 2, 0.0,
 
 
 @pytest.mark.parametrize("kind", [HeadsPosterior, WeightsPosterior])
-def test_a_step_goes_down_the_mean_of_equation_5(theta, observations, kind):
+def test_a_step_descends_the_mean_of_equation_5(theta, observations, kind):
     def loss(network):
         q = jax.vmap(network)(observations)
         targets = jax.lax.stop_gradient([0.5 + 0.9 * q[1].max(), 1.0, 0.9 * q[3].max()])
         first, *second = ((target - value) ** 2 for target, value in zip(targets, q[(0, 5, 5), (0, 2, 2)], strict=True))
-        return (first + sum(second) / 2) / 2  # two pairs, the second of them seen twice
+        return (first + sum(second) / 2) / 2  # two pairs, the second one twice
 
     slope = jax.jit(jax.grad(loss))(theta)
     if kind is HeadsPosterior:
         slope = eqx.tree_at(lambda net: net.torso, slope, jax.tree.map(jnp.zeros_like, slope.torso))
     expected = jax.vmap(jax.tree.map(lambda p, g: p - 0.1 * g, theta, slope))(observations)
     posterior = kind(inner_step_size=0.1, inner_steps=1)
-    found = jax.jit(lambda: posterior.adapt(theta, FiniteSamples(observations, STEPS, None)))()
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
-    assert largest(found - jax.vmap(theta)(observations)) > 1e-3
+    result = jax.jit(lambda: posterior.adapt(theta, FiniteSamples(observations, STEPS, None)))()
+    np.testing.assert_allclose(result, expected, rtol=1e-4, atol=1e-5)
+    assert largest(result - jax.vmap(theta)(observations)) > 1e-3
 
 
 def test_a_normalised_step_removes_its_share_of_one_error(theta, observations):
-    """Heads are linear: of a single pair's TD error, which V alone can remove, a whole step leaves nothing."""
+    """Heads are linear, so a full step removes a single pair's TD error completely (V alone can do so)."""
     best = int(jax.vmap(theta)(observations)[2].argmax())
     one = FiniteSamples(observations, steps_of((2, best, 1.0, 0.0, 0, 1.0)), None)
     before = float(jax.vmap(theta)(observations)[2, best])
     for share in (1.0, 0.4):
-        found = HeadsPosterior(inner_step_size=share, normalised_steps=True).adapt(theta, one)
-        assert float(found[2, best]) == pytest.approx(before + share * (1 - before), abs=2e-4)
+        result = HeadsPosterior(inner_step_size=share, normalised_steps=True).adapt(theta, one)
+        assert float(result[2, best]) == pytest.approx(before + share * (1 - before), abs=2e-4)
 
 
 @pytest.mark.parametrize("kind", [HeadsPosterior, pytest.param(WeightsPosterior, marks=pytest.mark.slow)])
-def test_algorithm_1_goes_to_where_they_are(maps, theta, samples, kind):
+def test_algorithm_1_moves_towards_them(maps, theta, samples, kind):
     posterior = kind(
         inner_step_size=0.3, inner_steps=2, normalised_steps=True, reward_weight=5.0, advantage_weight=30.0
     )

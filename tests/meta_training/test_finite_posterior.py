@@ -1,4 +1,4 @@
-"""What posteriors of finite tasks share: experience by numbers of states, and the weights of Eq. 7."""
+"""Common parts of the posteriors of finite tasks: experience by state index, and the weights of Eq. 7."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ MAPS, CELLS, ACTIONS = 2, 12, 4
 
 
 class TestCollecting:
-    def test_steps_are_those_of_the_map(self, maps, tasks, samples):
+    def test_steps_match_the_map(self, maps, tasks, samples):
         for index in range(MAPS):
             task = jax.tree.map(lambda leaf, i=index: leaf[i], tasks)
             steps = jax.tree.map(lambda leaf, i=index: np.asarray(leaf[i]), samples.steps)
@@ -42,18 +42,20 @@ class TestCollecting:
         config = dataclasses.replace(for_grid_games(4), hidden=(8, 8), steps_per_task=200, epsilon=(0.0, 1.0))
         meta = MetaTraining(maps, config.with_posterior(environments=2))
         collect = jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta)())
-        seen = collect(tasks)
-        greedy = np.asarray(jnp.argmax(q_tables(state.theta, seen.observations), axis=-1))
+        collected = collect(tasks)
+        greedy = np.asarray(jnp.argmax(q_tables(state.theta, collected.observations), axis=-1))
         for index in range(MAPS):
-            strayed = np.asarray(seen.steps.action[index]) != greedy[index][np.asarray(seen.steps.state[index])]
-            assert strayed[:200].mean() == 0
-            assert strayed[200:].mean() == pytest.approx(0.75, abs=0.12)
+            explored = (
+                np.asarray(collected.steps.action[index]) != greedy[index][np.asarray(collected.steps.state[index])]
+            )
+            assert explored[:200].mean() == 0
+            assert explored[200:].mean() == pytest.approx(0.75, abs=0.12)
 
 
 class TestOuterLoss:
     PRIOR = jnp.array([[1.0, 0.0, 7.0], [2.0, 2.0, 2.0]])
     POSTERIOR = jnp.array([[0.0, 2.0, 9.0], [2.0, 2.0, 1.0]])
-    # Tried: (0, 0), (0, 1) and, with a reward, (1, 2): errors 1, −2 and 1.
+    # Experience: (0, 0), (0, 1) and, with a reward, (1, 2); errors 1, −2 and 1.
     STEPS = steps_of((0, 0, 0, 0.9, 1, 1), (0, 1, 0, 0.9, 0, 0.5), (0, 1, 0, 0.9, 0, 0.5), (1, 2, 1, 0, 0, 1))
 
     @pytest.mark.parametrize(
@@ -66,10 +68,10 @@ class TestOuterLoss:
         ],
     )
     def test_by_hand(self, reward_weight, advantage_weight, expected):
-        found = table_distance(
+        result = table_distance(
             self.PRIOR, self.POSTERIOR, self.STEPS, reward_weight=reward_weight, advantage_weight=advantage_weight
         )
-        assert float(found) == pytest.approx(expected)
+        assert float(result) == pytest.approx(expected)
 
     def test_the_posterior_is_a_constant(self):
         slope = jax.grad(
@@ -79,10 +81,10 @@ class TestOuterLoss:
 
 
 class TestInnerLoss:
-    """Eq. 5 on a table: each pair of state and action counts once, however often it was tried."""
+    """Eq. 5 on a table: each pair of state and action counts once, however often it occurs."""
 
     TABLE = jnp.array([[1.0, 2.0], [5.0, 3.0]])
-    # Errors 0.5 + 0.9·5 − 1 = 4 of one pair; 1 − 3 = −2 and 0.9·2 − 3 = −1.2 of the other.
+    # Errors 0.5 + 0.9·5 − 1 = 4 for one pair; 1 − 3 = −2 and 0.9·2 − 3 = −1.2 for the other.
     STEPS = steps_of((0, 0, 0.5, 0.9, 1, 1.0), (1, 1, 1.0, 0.0, 0, 0.5), (1, 1, 0.0, 0.9, 0, 0.5))
 
     def test_by_hand(self):

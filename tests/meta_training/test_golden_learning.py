@@ -1,7 +1,7 @@
-"""One small run on maps, from Algorithm 1 to DQN shaped by its prior, beside numbers that were written down once.
+"""One small run on maps, from Algorithm 1 to DQN shaped by its prior, compared with recorded numbers.
 
-Every action is random, so that no rounding decides what is seen, and little is left to differ between processors.
-Whoever changes an algorithm on purpose writes the numbers anew and says so in the changelog.
+Every action is random, so rounding does not affect the experience, and results differ little between processors.
+If you change an algorithm on purpose, record new numbers and note it in the changelog.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ LEARNER = dataclasses.replace(for_maps(), hidden=(32,), epsilon=1.0)
 
 
 class Finished(NamedTuple):
-    """Of one run: what the prior is worth on unseen maps, and curves over both trainings."""
+    """Results of one run: measures of the prior on unseen maps, and learning curves of both algorithms."""
 
     measures: Measures
     outer_loss: np.ndarray
@@ -65,7 +65,7 @@ def finished() -> Finished:
     return small_run(0)
 
 
-#: Of seed 0; other seeds, and other settings, are several tolerances away.
+#: For seed 0; other seeds and settings differ by several tolerances.
 OUTER_LOSS = [0.66954, 0.23513, 0.20421, 0.16191, 0.16724, 0.17287]
 TD_LOSS = [0.01096, 0.00341, 0.0023, 0.00164, 0.00175]
 SUCCESS = [0.125, 0.25, 0.5, 0.5, 0.5, 0.625]
@@ -83,12 +83,12 @@ def test_the_prior_on_unseen_maps(finished):
 
 def test_dqn_shaped_by_it(finished):
     np.testing.assert_allclose(finished.td_loss, TD_LOSS, rtol=0.02, atol=1e-5)
-    # The share of 16 maps that is solved: one may turn out otherwise.
+    # The share of 16 maps that are solved; one map may differ.
     np.testing.assert_allclose(finished.success, SUCCESS, atol=1.01 / MAPS)
 
 
 def test_another_seed_would_be_noticed(finished):
-    """Else the numbers above would say nothing."""
+    """Otherwise the tests above would have no power."""
     other = small_run(1)
     assert np.any(np.abs(other.outer_loss / finished.outer_loss - 1) > 0.05)
     assert np.any(np.abs(other.td_loss / finished.td_loss - 1) > 0.05)

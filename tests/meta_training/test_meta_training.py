@@ -19,7 +19,7 @@ from upslope.meta_training.posteriors import NetworkPosterior, TablePosterior
 
 @pytest.fixture(scope="module")
 def states():
-    """Before the first iteration, and after each of three."""
+    """States before the first iteration and after each of three."""
     meta = learner(averaging=0.75)
     step, states = jax.jit(meta.step), [meta.init(jax.random.key(0))]
     for _ in range(3):
@@ -32,12 +32,12 @@ def blend(share, new, old):
 
 
 class TestAveraging:
-    def test_the_average_follows_theta_by_its_decay(self, states):
+    def test_the_average_follows_theta_with_its_decay(self, states):
         for before, after in itertools.pairwise(states):
             assert_trees_close(after.average, blend(0.25, after.theta, before.average))
             assert float(jnp.abs(after.theta.value_head.bias - before.theta.value_head.bias).max()) > 1e-4
 
-    def test_the_target_follows_theta_by_its_own(self, states):
+    def test_the_target_follows_theta_with_its_own_decay(self, states):
         for before, after in itertools.pairwise(states):
             assert_trees_close(after.target, blend(0.1, after.theta, before.target))
 
@@ -45,7 +45,7 @@ class TestAveraging:
         assert_trees_identical(states[0].average, states[0].theta)
         assert_trees_identical(states[0].target, states[0].theta)
 
-    def test_without_averaging_the_prior_is_theta_as_printed(self):
+    def test_without_averaging_the_prior_is_theta(self):
         meta = learner(averaging=0.0)
         before = meta.init(jax.random.key(0))
         after = jax.jit(meta.step)(before)[0]
@@ -57,7 +57,7 @@ class TestAveraging:
         after = jax.jit(meta.step)(meta.init(jax.random.key(0)))[0]
         assert_trees_identical(after.target, after.theta)
 
-    def test_a_compiled_family_s_next_experience_is_by_the_newest_theta(self, states):
+    def test_compiled_families_collect_with_the_newest_theta(self, states):
         for state in states:
             assert_trees_identical(state.acting, state.theta)
 
@@ -76,11 +76,11 @@ class TestCollecting:
         theta, batch = collected
         greedy = jnp.argmax(jax.vmap(jax.vmap(theta))(batch.obs), axis=-1)
         strayed = np.mean(batch.action != greedy, axis=1)
-        # Half of the random actions of two are greedy ones: 0, 1/4 and 1/2, give or take three standard deviations.
+        # Half of the random actions are greedy: shares of 0, 1/4 and 1/2, within three standard deviations.
         assert strayed[0] == 0
         np.testing.assert_allclose(strayed[1:], [0.25, 0.5], atol=0.11)
 
-    def test_samples_are_of_their_own_task(self, collected):
+    def test_samples_come_from_their_own_task(self, collected):
         theta, batch = collected
         marked = batch._replace(reward=jnp.broadcast_to(jnp.arange(3.0)[:, None], batch.reward.shape))
         drawn = TINY.posterior.draw(jax.random.split(jax.random.key(3), 3), marked, theta)
@@ -115,19 +115,19 @@ class TestSnapshots:
     @pytest.mark.parametrize(
         ("returns", "share", "expected"),
         [
-            ([90, 10, 20, 30, 25], 0.5, 3),  # from the middle on; the 90 is too early
+            ([90, 10, 20, 30, 25], 0.5, 3),  # the second half; the 90 is too early
             ([90, 10, 20, 30, 25], 0.0, 0),
-            ([90, 10, 20, 30, 25], 1.0, 4),  # the last, as printed
-            ([10, 50, 20, 50, 30], 0.0, 3),  # of equals the last
-            ([90, 10, 20, 30, 25], 0.6, 3),  # 0.6·4 = 2.4 lies after the third
+            ([90, 10, 20, 30, 25], 1.0, 4),  # the last one, as in the paper
+            ([10, 50, 20, 50, 30], 0.0, 3),  # the last one of equals
+            ([90, 10, 20, 30, 25], 0.6, 3),  # 0.6·4 = 2.4 is after the third
             ([5], 0.5, 0),
         ],
     )
     def test_the_best_of_the_last_share(self, returns, share, expected):
         assert MetaTrainingConfig(select_from=share).best_snapshot(np.array(returns, float)) == expected
 
-    def test_snapshots_are_tried_on_the_same_episodes(self, states):
-        # Episodes that start at random and earn −1 or 1 by their start alone.
+    def test_snapshots_are_evaluated_on_the_same_episodes(self, states):
+        # Episodes start at random, and the return of −1 or 1 depends only on the start.
         meta = MetaTraining(
             discrete_family().only(observation_dependent()), dataclasses.replace(TINY, evaluation_tasks=20)
         )
@@ -138,7 +138,7 @@ class TestSnapshots:
         )
         assert first == later != other
 
-    def test_the_key_of_the_trials_never_changes(self, states):
+    def test_the_evaluation_key_never_changes(self, states):
         for state in states:
             assert_trees_identical(state.trial_key, states[0].trial_key)
 
@@ -152,7 +152,7 @@ class TestReport:
         assert_trees_identical(state, copy)
         assert_trees_identical(first, second)
 
-    def test_it_is_the_average_network_and_its_return(self):
+    def test_it_contains_the_average_network_and_its_return(self):
         meta = learner()
         state = meta.init(jax.random.key(0))
         report = jax.jit(meta.report)(state)

@@ -1,4 +1,4 @@
-"""Algorithm 1's outer gradient, kept, stopped and as printed, by hand and against finite differences."""
+"""Algorithm 1's outer gradient (kept, stopped, as printed), compared with hand computations and finite differences."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ from upslope.meta_training.recipes import as_printed
 
 
 def samples(*, fixed_targets=True) -> TaskBatch:
-    """Random transitions of two tasks, TD targets from a network that is not θ."""
+    """Random transitions of two tasks, with TD targets from a network other than θ."""
     batch = random_batch(4, leading=(TASKS, BATCH))
     target = small_network(7)
     return TaskBatch(batch, jax.vmap(jax.vmap(target.value))(batch.next_obs) if fixed_targets else None)
@@ -55,15 +55,15 @@ class TestKeptGraph:
         objective = jax.jit(lambda net: outer_loss(meta, net, data))
         assert_gradient(objective, theta, gradient_of(meta, theta, data), rtol=1e-5)
 
-    def test_rematerialised_it_is_the_same(self):
-        """And other operations lead to it: what the inner steps made is made again."""
+    def test_rematerialisation_does_not_change_it(self):
+        """The gradient is equal, but the program recomputes the inner steps."""
         theta, data = small_network(0), samples()
         kept, again = (learner_by(outer_target="kept", inner_steps=2, rematerialise=how) for how in (False, True))
         assert_trees_close(gradient_of(again, theta, data), gradient_of(kept, theta, data), rtol=1e-9, atol=1e-12)
         assert "remat" in str(jax.make_jaxpr(lambda net: outer_loss(again, net, data))(theta))
         assert "remat" not in str(jax.make_jaxpr(lambda net: outer_loss(kept, net, data))(theta))
 
-    def test_first_order_takes_the_posterior_s_jacobian_for_the_identity(self):
+    def test_first_order_replaces_the_posterior_s_jacobian_by_the_identity(self):
         meta, theta, data = learner_by(outer_target="kept", first_order=True), small_network(0), samples()
         ours = gradient_of(meta, theta, data)
         expected = jax.jit(lambda net: mean_of_pull(meta, net, data, through_posterior=True))(theta)
@@ -88,7 +88,7 @@ class TestStoppedTarget:
 
 
 def mean_of_pull(meta, theta, data, *, through_posterior=False):
-    """Mean over tasks and samples of 2·(Q_θ − Q_φ)·∇Q_θ; less ∇Q_φ where that is let through."""
+    """Mean over tasks and samples of 2·(Q_θ − Q_φ)·∇Q_θ; minus ∇Q_φ if gradients flow through the posterior."""
     gradients = []
     for task in range(TASKS):
         own = of_task(data, task)
@@ -105,7 +105,7 @@ def mean_of_pull(meta, theta, data, *, through_posterior=False):
 
 
 class TestAsPrinted:
-    """The settings that follow the print to the letter."""
+    """The settings that follow the paper literally."""
 
     meta = MetaTraining(
         discrete_family(),
@@ -137,7 +137,7 @@ class TestAsPrinted:
 
 
 class TestTDLoss:
-    """Mean of Eq. 5 over a task's batch, by either kind of target."""
+    """Mean of Eq. 5 over a task's batch, for either kind of target."""
 
     def expected(self, next_value):
         batch, theta = of_task(samples().transitions, 0), small_network(0)
@@ -172,9 +172,9 @@ class TestTDLoss:
 @pytest.mark.parametrize("outer_target", ["kept", "stopped"])
 def test_task_by_task_makes_no_difference(outer_target):
     theta, data = small_network(0), samples()
-    found = []
+    results = []
     for by in (learner_by(outer_target=outer_target, task_by_task=how) for how in (False, True)):
-        found.append(jax.jit(lambda net, by=by: outer_gradient(by, net, data))(theta))
-    together, in_turn = found
+        results.append(jax.jit(lambda net, by=by: outer_gradient(by, net, data))(theta))
+    together, in_turn = results
     assert_trees_close(in_turn, together, rtol=1e-4)
     assert largest(together[1]) > 1e-4

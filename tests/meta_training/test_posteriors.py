@@ -36,7 +36,7 @@ def test_names_are_those_of_the_classes():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_iteration_of_algorithm_1(name):
-    """Its metrics and its step are those of the posterior's own parts, put together by hand."""
+    """Its metrics and its step equal those of the posterior's parts, combined by hand."""
     meta = MetaTraining(grid_games((3, 4), flat=True, obstacles=0.15), config_of(name))
     posterior = meta.config.posterior
 
@@ -56,7 +56,7 @@ def test_an_iteration_of_algorithm_1(name):
     assert float(loss) > 0
     assert largest(gradient) > 1e-3
     assert metrics["reward"].shape == (TASKS,)
-    # Adam's first step is the sign of the gradient: where that is not zero, both must have gone the same way.
+    # Adam's first step is the sign of the gradient: where that is not zero, both must have the same sign.
     for ours, theirs, slope in zip(*map(jax.tree.leaves, (after.theta, theta, gradient)), strict=True):
         clear = jnp.abs(slope) > 1e-4
         assert largest(jnp.where(clear, ours - theirs, 0.0)) < 1e-5
@@ -64,7 +64,7 @@ def test_an_iteration_of_algorithm_1(name):
 
 
 @pytest.mark.parametrize("name", FINITE)
-def test_tasks_whose_states_can_t_be_listed(name):
+def test_tasks_whose_states_cannot_be_listed(name):
     meta = MetaTraining(discrete_family(), config_of(name))
     with pytest.raises(UpslopeError, match=f"'{name}' needs tasks whose states can be listed.*NetworkPosterior"):
         meta.init(jax.random.key(0))
@@ -75,7 +75,7 @@ def test_the_recipe_for_maps_does_not_fit_vectors():
         MetaTraining(discrete_family(), for_grid_games(4)).init(jax.random.key(0))
 
 
-def test_actions_that_no_head_fits():
+def test_actions_without_a_matching_head():
     with pytest.raises(UpslopeError, match="no advantage head for continuous actions"):
         MetaTraining(continuous_family(), TINY).init(jax.random.key(0))
 

@@ -31,15 +31,15 @@ class TestInnerSteps:
     def test_one_step_of_size_one_is_a_bellman_backup(self):
         table = jnp.array([[1.0, 2.0], [5.0, 3.0]])
         steps = steps_of((0, 0, 0.5, 0.9, 1, 1.0), (1, 1, 1.0, 0.0, 0, 1.0))
-        found = adapted(table, steps, 1.0)
-        np.testing.assert_allclose(found, [[0.5 + 0.9 * 5, 2.0], [5.0, 1.0]], rtol=1e-6)
+        result = adapted(table, steps, 1.0)
+        np.testing.assert_allclose(result, [[0.5 + 0.9 * 5, 2.0], [5.0, 1.0]], rtol=1e-6)
 
-    def test_a_pair_seen_with_two_outcomes_moves_to_their_mean(self):
+    def test_a_pair_with_two_outcomes_moves_to_their_mean(self):
         table = jnp.array([[0.0, 2.0], [4.0, 0.0]])
         steps = steps_of((0, 0, 1.0, 0.5, 1, 0.5), (0, 0, 0.0, 0.0, 1, 0.5))
-        found = adapted(table, steps, 0.5)
-        # Targets 1 + 0.5·4 = 3 and 0, their mean 1.5; half of the way from 0.
-        np.testing.assert_allclose(found, [[0.75, 2.0], [4.0, 0.0]], rtol=1e-6)
+        result = adapted(table, steps, 0.5)
+        # Targets 1 + 0.5·4 = 3 and 0, their mean 1.5; half the way from 0.
+        np.testing.assert_allclose(result, [[0.75, 2.0], [4.0, 0.0]], rtol=1e-6)
 
     def test_many_steps_on_all_pairs_solve_the_map(self, maps, tasks):
         solution = solve_all(maps.env, tasks, maps.gamma)
@@ -52,21 +52,21 @@ class TestInnerSteps:
                 mdp.successors[at], jnp.ones(len(cell)),
             )  # fmt: skip
             start = jax.random.normal(jax.random.key(5), (CELLS, ACTIONS))
-            found = adapted(start, steps, 1.0, inner_steps=150)
+            result = adapted(start, steps, 1.0, inner_steps=150)
             where = np.asarray(mdp.acting)
-            np.testing.assert_allclose(found[where], solution.action_value[index][where], atol=1e-4)
+            np.testing.assert_allclose(result[where], solution.action_value[index][where], atol=1e-4)
 
 
 def test_without_a_target_network_it_starts_at_q_theta(theta, observations):
     steps = steps_of((0, 1, 0.5, 0.9, 3, 1.0))
-    found = TablePosterior(inner_step_size=1.0).adapt(theta, FiniteSamples(observations, steps, None))
+    result = TablePosterior(inner_step_size=1.0).adapt(theta, FiniteSamples(observations, steps, None))
     q = jax.vmap(theta)(observations)
-    np.testing.assert_allclose(found, q.at[0, 1].set(0.5 + 0.9 * q[3].max()), rtol=1e-5)
+    np.testing.assert_allclose(result, q.at[0, 1].set(0.5 + 0.9 * q[3].max()), rtol=1e-5)
 
 
 @pytest.mark.slow
 def test_multi_task_dqn_has_the_gradient_of_dqn(maps, state, samples):
-    """One backup of the averaged network, and Eq. 7: nothing else than Eq. 5 with a frozen target."""
+    """One backup of the averaged network and Eq. 7 equal Eq. 5 with a frozen target."""
     config = dataclasses.replace(multi_task_dqn(4), hidden=(8, 8)).with_posterior(reward_weight=1.0)
     meta = MetaTraining(maps, config)
     target = jax.jit(lambda: MetaTraining(maps, config).init(jax.random.key(9)))().theta
@@ -78,7 +78,7 @@ def test_multi_task_dqn_has_the_gradient_of_dqn(maps, state, samples):
             meta, theta, config.posterior.draw(jax.random.split(jax.random.key(0), 1), one, target)
         )
         steps, seen = jax.tree.map(lambda leaf: leaf[0], one.steps), one.observations[0]
-        # Each pair once, as the table counts them.
+        # Each pair counts once, as in the table.
         first = jnp.zeros((CELLS, ACTIONS), jnp.int32).at[steps.state, steps.action].set(jnp.arange(len(steps.state)))
         weights = (first[steps.state, steps.action] == jnp.arange(len(steps.state))).astype(jnp.float32)
 
@@ -96,7 +96,7 @@ def test_multi_task_dqn_has_the_gradient_of_dqn(maps, state, samples):
     assert_trees_close(ours, theirs, rtol=2e-3, atol=1e-5)
 
 
-def test_the_control_differs_only_in_what_makes_it_dqn():
+def test_the_control_differs_only_in_the_settings_of_dqn():
     ours, theirs = for_grid_games(), multi_task_dqn()
     assert dataclasses.replace(theirs, posterior=ours.posterior) == ours
     ours, theirs = dataclasses.asdict(ours.posterior), dataclasses.asdict(theirs.posterior)

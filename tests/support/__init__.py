@@ -1,1 +1,1 @@
-"""What several test files share; nothing here is itself a test."""
+"""Helpers shared by several test files; contains no tests."""

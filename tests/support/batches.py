@@ -11,14 +11,14 @@ OBSERVATIONS = 3
 ACTIONS = 2
 
 
-@eqx.filter_jit  # one program instead of one for every shape that is drawn
+@eqx.filter_jit  # one program, not one for every array shape
 def small_network(seed=0, *, inputs=OBSERVATIONS, actions=ACTIONS, hidden=(6, 5)) -> DuelingQ:
     return DuelingQ(jax.random.key(seed), inputs, actions, hidden)
 
 
 @eqx.filter_jit
 def random_batch(seed=0, *, leading=(8,), gamma=0.9, actions=ACTIONS) -> Transition:
-    """Transitions ``[*leading, ...]`` with random everything; about a third of them terminate."""
+    """Transitions ``[*leading, ...]`` with random contents; about a third of them terminate."""
     keys = jax.random.split(jax.random.key(seed), 5)
     return Transition(
         jax.random.normal(keys[0], (*leading, OBSERVATIONS)),

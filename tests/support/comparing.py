@@ -5,7 +5,7 @@ import numpy as np
 
 
 def assert_trees_close(ours, theirs, *, rtol=1e-5, atol=1e-6):
-    """The same structure, and the same numbers but for rounding."""
+    """The same structure, and the same numbers up to rounding."""
     assert jax.tree.structure(ours) == jax.tree.structure(theirs)
     for mine, yours in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         np.testing.assert_allclose(np.asarray(mine), np.asarray(yours), rtol=rtol, atol=atol)

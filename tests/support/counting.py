@@ -17,7 +17,7 @@ class Params(eqx.Module):
 
 @dataclass(frozen=True)
 class Counting:
-    """Counts up by the action (0, 1, 2); episodes begin at 0. Observes the count in the way that it is told to."""
+    """Counts up by the action (0, 1, 2); episodes begin at 0. ``observes`` selects the observation."""
 
     observes: str = "vector"
     push: float = 0.0

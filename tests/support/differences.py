@@ -1,4 +1,4 @@
-"""Finite differences, the referee of gradients that flow through gradients."""
+"""Finite differences, to check gradients that flow through gradients."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,7 @@ import numpy as np
 
 
 def assert_gradient(objective: Callable, params, gradient, *, directions=3, size=1e-5, rtol=1e-6):
-    """``gradient`` against central differences of ``objective`` along random directions; wants float64."""
+    """``gradient`` against central differences of ``objective`` along random directions; needs float64."""
     leaves, structure = jax.tree.flatten(params)
     for seed in range(directions):
         rng = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ import numpy as np
 
 
 def length(rng):
-    """A pole of any length, as the family of the compiled CartPoles draws it."""
+    """A pole of any length, with the distribution of the compiled family."""
     return float(rng.uniform(0.25, 5.0))
 
 
@@ -54,7 +54,7 @@ class Growing(Lamp):
 
 
 class Dying(Lamp):
-    """Its process ends."""
+    """Its process exits."""
 
     def step(self, action):
         import os

@@ -1,7 +1,7 @@
-"""A second advantage head, for the proof that a new one needs one class and one line.
+"""A second advantage head, to show that a new head needs one class and one line.
 
-It gives A(s, a) = b(s) + c_a(s): one output more than there are actions, so that nothing may take outputs for actions.
-By Eq. 6 the level b drops out of Q, so Algorithm 1 and MAML must learn what they learn with the discrete head.
+It gives A(s, a) = b(s) + c_a(s): one output more than there are actions, so code must not confuse outputs with actions.
+By Eq. 6 the level b drops out of Q, so Algorithm 1 and MAML must learn the same as with the discrete head.
 """
 
 from typing import Any, ClassVar

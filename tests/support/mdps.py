@@ -1,4 +1,4 @@
-"""Random finite MDPs in numpy with exact value iteration: the referee of the theorems."""
+"""Random finite MDPs in numpy with exact value iteration, to check the theorems."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -28,7 +28,7 @@ class FiniteMDP:
 
     @property
     def ordinary(self) -> np.ndarray:
-        """Indices of the states that one can act in."""
+        """Indices of the non-terminal states."""
         return np.flatnonzero(~self.terminal)
 
 
@@ -64,6 +64,6 @@ def solve(mdp: FiniteMDP, added: np.ndarray | float = 0.0, *, tolerance: float =
 
 
 def greedy_sets(mdp: FiniteMDP, q: np.ndarray, *, tolerance: float = 1e-8) -> np.ndarray:
-    """Which actions are optimal in the states that one can act in ``[ordinary, actions]``."""
+    """Which actions are optimal in the non-terminal states ``[ordinary, actions]``."""
     q = q[mdp.ordinary]
     return q >= q.max(-1, keepdims=True) - tolerance

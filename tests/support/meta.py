@@ -1,4 +1,4 @@
-"""Algorithm 1 at a size that sums by hand can follow."""
+"""Algorithm 1, small enough to compute by hand."""
 
 from dataclasses import replace
 
@@ -16,12 +16,12 @@ TINY = MetaTrainingConfig(
 
 
 def learner(**changes) -> MetaTraining:
-    """On the probe family, with some settings changed."""
+    """Algorithm 1 on the probe family, with some settings changed."""
     return MetaTraining(discrete_family(), replace(TINY, **changes))
 
 
 def learner_by(**changes) -> MetaTraining:
-    """On the probe family, with some of the posterior's settings changed."""
+    """Algorithm 1 on the probe family, with some of the posterior's settings changed."""
     return MetaTraining(discrete_family(), TINY.with_posterior(**changes))
 
 

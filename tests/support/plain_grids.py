@@ -1,4 +1,4 @@
-"""Grid games once more, in plain Python: maps as text, moves by hand, distances by breadth-first search."""
+"""Grid games in plain Python: maps as text, explicit moves, distances by breadth-first search."""
 
 from collections import deque
 
@@ -25,7 +25,7 @@ def draw(family, count, seed=0) -> GridParams:
 
 
 def pick(maps, index):
-    """One of stacked maps."""
+    """One map of a stack."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), maps)
 
 
@@ -51,29 +51,29 @@ def neighbour(board, row, column, action):
 
 
 def plain_outcomes(board, row, column, action, *, slip=0.0, penalty=1.0):
-    """What can follow, as a dictionary of (row, column) to (probability, reward, terminated)."""
+    """The outcomes of an action: a dictionary from (row, column) to (probability, reward, terminated)."""
     ways = [(1 - slip, action), *((slip / 2, side) for side in SIDES[action])]
-    found = {}
+    result = {}
     for chance, way in ways:
         there = neighbour(board, row, column, way)
         thing = board[there[0]][there[1]]
         reward = {"G": 1.0, "T": -penalty}.get(thing, 0.0)
-        before = found.get(there, (0.0,))[0]
-        found[there] = (before + chance, reward, thing in "GT")
-    return {there: outcome for there, outcome in found.items() if outcome[0] > 0}
+        before = result.get(there, (0.0,))[0]
+        result[there] = (before + chance, reward, thing in "GT")
+    return {there: outcome for there, outcome in result.items() if outcome[0] > 0}
 
 
 def distances(board) -> np.ndarray:
-    """Steps to the goal by breadth-first search, never through traps; −1 where there is no way."""
-    found = np.full((len(board), len(board[0])), -1)
+    """Steps to the goal by breadth-first search, never through traps; −1 where the goal is unreachable."""
+    result = np.full((len(board), len(board[0])), -1)
     goal = next((r, c) for r, row in enumerate(board) for c, thing in enumerate(row) if thing == "G")
-    found[goal] = 0
+    result[goal] = 0
     waiting = deque([goal])
     while waiting:
         row, column = waiting.popleft()
         for action in range(4):
             there = neighbour(board, row, column, action)
-            if found[there] < 0 and board[there[0]][there[1]] == ".":
-                found[there] = found[row, column] + 1
+            if result[there] < 0 and board[there[0]][there[1]] == ".":
+                result[there] = result[row, column] + 1
                 waiting.append(there)
-    return found
+    return result

@@ -1,4 +1,4 @@
-"""Planning as one program: operations of their own would be compiled one by one for every size of map."""
+"""Planning as one program: separate operations would each be compiled for every size of map."""
 
 import equinox as eqx
 

@@ -1,4 +1,4 @@
-"""CartPoles beside Gymnasium's: the same task twice, and one trajectory of each."""
+"""CartPoles compared with Gymnasium's: the same task in both, and one trajectory of each."""
 
 import math
 
@@ -36,13 +36,13 @@ def gymnasium_trajectory(env: CartPoleEnv, start: np.ndarray, actions: np.ndarra
 
 
 def poles(lengths, **settings) -> CartPoleParams:
-    """Stacked parameters ``[n]``, in the float type that JAX has at the moment."""
+    """Stacked parameters ``[n]``, in JAX's current float type."""
     return jax.vmap(lambda length: jax.tree.map(jnp.asarray, CartPoleParams(length, **settings)))(jnp.asarray(lengths))
 
 
 @jax.jit
 def our_trajectories(params: CartPoleParams, starts, actions):
-    """True successors ``[n, steps, 4]``, terminated and truncated ``[n, steps]``; resets go on happening."""
+    """True successors ``[n, steps, 4]``, terminated and truncated ``[n, steps]``; resets still happen."""
     env = CartPole()
 
     def one(params, start, actions):

@@ -1,6 +1,6 @@
 """Probe environments: tiny tasks whose values are known by hand, as tables in the task.
 
-All discrete probes share one environment, so one compiled program learns all of them side by side.
+All discrete probes share one environment, so one compiled program learns all of them at once.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ GAMMA = 0.8
 
 
 class Place(eqx.Module):
-    """Where in a probe an episode is, and for how many steps it has been going on."""
+    """The current place in a probe, and the number of steps so far."""
 
     place: Int[Array, ""]
     time: Int[Array, ""]
@@ -31,7 +31,7 @@ def observe(place) -> Float[Array, "places"]:
 
 
 class ProbeTask(eqx.Module):
-    """What each action does at each place ``[places, actions]``, where episodes start, when they are cut short."""
+    """What each action does at each place ``[places, actions]``, where episodes start, and when they are truncated."""
 
     successor: Int[Array, "places actions"]
     reward: Float[Array, "places actions"]
@@ -101,12 +101,12 @@ ENDS = [[True, True], [True, True]]
 
 
 def constant_reward() -> ProbeTask:
-    """One step, reward 1 whatever is done. Q = 1."""
+    """One step, reward 1 for every action. Q = 1."""
     return _task(ONE_STEP, [[1, 1], UNREACHED], ENDS)
 
 
 def two_steps() -> ProbeTask:
-    """Nothing, then 1. Q = γ, then 1."""
+    """Reward 0, then 1. Q = γ, then 1."""
     return _task([[1, 1], [0, 0]], [[0, 0], [1, 1]], [[False, False], [True, True]])
 
 
@@ -121,16 +121,16 @@ def observation_dependent() -> ProbeTask:
 
 
 def truncation_only() -> ProbeTask:
-    """Reward 1 for ever, cut short after every third step. Q = 1/(1 − γ), as if it went on."""
+    """Reward 1 at every step, truncated after every third. Q = 1/(1 − γ), as without truncation."""
     return _task([[0, 0], [1, 1]], [[1, 1], UNREACHED], [[False, False], [False, False]], time_limit=3)
 
 
 def choices() -> ProbeTask:
-    """Stop with nothing or go on; then 1 for the first action, −1 for the second. Q = (0, γ), then (1, −1)."""
+    """Stop with reward 0 or go on; then 1 for the first action, −1 for the second. Q = (0, γ), then (1, −1)."""
     return _task([[0, 1], [0, 0]], [[0, 0], [1, -1]], [[True, False], [True, True]])
 
 
-#: Every probe, its Q* ``[places, actions]`` (NaN where episodes never come), and its greedy return.
+#: Every probe, its Q* ``[places, actions]`` (NaN at places that episodes never visit), and its greedy return.
 DISCRETE = {
     "constant reward": (constant_reward(), [[1, 1], [np.nan, np.nan]], 1),
     "two steps": (two_steps(), [[GAMMA, GAMMA], [1, 1]], 1),
@@ -151,7 +151,7 @@ class AlwaysChoices:
 
 
 def discrete_family() -> JaxTasks:
-    """Of `ProbeTask`s; its own sampler draws `choices`."""
+    """A family of `ProbeTask`s; its sampler always draws `choices`."""
     return _family(Probe(), AlwaysChoices(), actions=DiscreteActions(ACTIONS))
 
 
@@ -164,7 +164,7 @@ class RandomTargets:
 
 
 def continuous_family() -> JaxTasks:
-    """Of `TargetTask`s."""
+    """A family of `TargetTask`s."""
     return _family(Target(), RandomTargets(), actions=ContinuousActions(1))
 
 

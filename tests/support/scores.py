@@ -1,4 +1,4 @@
-"""Policies of hand-made scores: networks that need no training."""
+"""Policies from hand-made scores: networks that need no training."""
 
 from typing import Any
 
@@ -8,11 +8,11 @@ import jax.numpy as jnp
 
 
 class Scores(eqx.Module):
-    """A function of one observation that gives a number for each action, as a network for policies.
+    """A function from one observation to one number per action, used as a policy's network.
 
     Attributes:
-        function: of an observation, to ``[actions]``.
-        actions: how many.
+        function: from an observation to ``[actions]``.
+        actions: the number of actions.
     """
 
     function: Any
@@ -29,8 +29,8 @@ class Fixed(eqx.Module):
     """A deterministic actor that is a function of one observation.
 
     Attributes:
-        function: of an observation, to an action ``[actions]``.
-        actions: how many numbers are in an action.
+        function: from an observation to an action ``[actions]``.
+        actions: the number of components of an action.
     """
 
     function: Any

@@ -7,7 +7,7 @@ import numpy as np
 
 
 class Step(NamedTuple):
-    """What one step shows. The level is the first coordinate of the observation, and Φ of `level` below."""
+    """The outcome of one step. The level is the first coordinate of the observation, and Φ of `level` below."""
 
     level: float
     reward: float = 1.0
@@ -59,7 +59,7 @@ RAW = (0.5, 2.0, -1.0, 0.0)
 
 
 class Walk(gym.Env):
-    """A random walk that ends at random, one way or the other, or both ways at once."""
+    """A random walk that terminates, is truncated, or both, at random steps."""
 
     observation_space = gym.spaces.Box(-1e3, 1e3, (2,), np.float32)
     action_space = gym.spaces.Discrete(2)

@@ -1,4 +1,4 @@
-"""A learner that compiles in no time, and observers that only remember: for the loop, which knows no algorithm."""
+"""A learner that compiles quickly and an observer that records its calls, to test the loop without an algorithm."""
 
 from typing import Any
 
@@ -55,7 +55,7 @@ def walks(drifts, breaks_at: int = -1, *, in_turns: bool = False) -> Walk:
 
 
 class Memory:
-    """An observer that remembers its calls."""
+    """An observer that records its calls."""
 
     def __init__(self):
         self.calls = []

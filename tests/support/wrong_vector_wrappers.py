@@ -1,4 +1,4 @@
-"""Shaping wrappers of vector environments as people write them, one right, the others each with one mistake."""
+"""Typical hand-written shaping wrappers for vector environments: one correct, the others with one mistake each."""
 
 import gymnasium as gym
 import numpy as np
@@ -8,7 +8,7 @@ from support.wrong_wrappers import GAMMA, phi
 
 
 class VectorRight(gym.vector.VectorWrapper):
-    """The twin, right in all three modes."""
+    """A correct vector wrapper for all three modes."""
 
     def __init__(self, env):
         super().__init__(env)
@@ -42,21 +42,21 @@ class VectorRight(gym.vector.VectorWrapper):
 
 
 class VectorResetObservation(VectorRight):
-    """Same-step: the observation returned is taken for the successor."""
+    """Same-step: the returned observation is used as the successor."""
 
     def successors(self, obs, done, infos):
         return obs
 
 
 class VectorDummyPaid(VectorRight):
-    """Next-step: the reset is paid like a transition."""
+    """Next-step: the reset is shaped like a transition."""
 
     def at_dummies(self, added):
         return added
 
 
 class Hides(gym.vector.VectorWrapper):
-    """Takes the final observation out of the infos, after shaping rightly."""
+    """Shapes correctly, then removes the final observation from the infos."""
 
     def step(self, actions):
         *rest, infos = self.env.step(actions)
@@ -65,13 +65,13 @@ class Hides(gym.vector.VectorWrapper):
 
 
 class VectorWrong(VectorRight):
-    """Right so far; the others change one method each."""
+    """Correct; the subclasses change one method each."""
 
     def step(self, actions):
         obs, rewards, terminated, truncated, infos = self.env.step(actions)
         done = terminated | truncated
         ahead = np.array([phi(one) for one in self.successors(obs, done, infos)])
-        added = self.bent(self.at_dummies(self.discount(terminated, truncated) * ahead - self.last))
+        added = self.transform(self.at_dummies(self.discount(terminated, truncated) * ahead - self.last))
         self.last = np.array([phi(one) for one in obs])
         self.ended = done & (self.mode is AutoresetMode.NEXT_STEP)
         return obs, self.total(rewards, added), terminated, truncated, infos
@@ -79,7 +79,7 @@ class VectorWrong(VectorRight):
     def discount(self, terminated, truncated):
         return GAMMA * ~terminated
 
-    def bent(self, added):
+    def transform(self, added):
         return added
 
     def total(self, rewards, added):
@@ -107,7 +107,7 @@ class VectorAnotherGamma(VectorWrong):
 
 
 class VectorClippedF(VectorWrong):
-    def bent(self, added):
+    def transform(self, added):
         return np.clip(added, -1.5, 1.5)
 
 
@@ -117,5 +117,5 @@ class VectorClippedReward(VectorWrong):
 
 
 class VectorCentred(VectorWrong):
-    def bent(self, added):
+    def transform(self, added):
         return added + 0.8

@@ -1,4 +1,4 @@
-"""Shaping wrappers as people write them: one right, the others each with one mistake. None of them is ours."""
+"""Typical hand-written shaping wrappers: one correct, the others with one mistake each. None of them is upslope's."""
 
 import gymnasium as gym
 import numpy as np
@@ -32,14 +32,14 @@ class Right(gym.Wrapper):
         obs, reward, terminated, truncated, info = self.env.step(action)
         self.steps += 1
         ahead = self.ahead(obs, terminated, truncated)
-        added = self.bent(self.gamma * ahead - self.last)
+        added = self.transform(self.gamma * ahead - self.last)
         self.last = self.phi(obs)
         return obs, self.total(reward, added), terminated, truncated, info
 
     def ahead(self, obs, terminated, truncated):
         return 0.0 if terminated else self.phi(obs)
 
-    def bent(self, added):
+    def transform(self, added):
         return added
 
     def total(self, reward, added):
@@ -75,7 +75,7 @@ class NoGamma(Right):
 
 
 class ClippedF(Right):
-    def bent(self, added):
+    def transform(self, added):
         return float(np.clip(added, -1.5, 1.5))
 
 
@@ -89,25 +89,25 @@ class RunningNormalised(Right):
         super().__init__(env)
         self.values = []
 
-    def bent(self, added):
+    def transform(self, added):
         self.values.append(added)
         return (added - np.mean(self.values)) / (np.std(self.values) + 1.0)
 
 
 class Centred(Right):
-    def bent(self, added):
+    def transform(self, added):
         return added + 0.8
 
 
 class TwoVersions(Right):
-    """Φ moves on after 150 steps, but is checked against its first version."""
+    """Φ changes after 150 steps, but is checked against its first version."""
 
     def phi(self, obs):
         return phi(obs) if self.steps < 150 else phi(obs) + float(np.sin(5 * obs[0]))
 
 
 class TwoInTurn(Right):
-    """Φ's weight goes to and fro, fifty steps each."""
+    """Φ's weight alternates every fifty steps."""
 
     def phi(self, obs):
         return phi(obs) * (1.0 if self.steps % 100 < 50 else 1.3)
@@ -121,7 +121,7 @@ class Growing(Right):
 
 
 class NotRearmed(Right):
-    """The first step of an episode takes Φ(s) from the last episode's end."""
+    """The first step of an episode uses Φ(s) from the end of the last episode."""
 
     def reset(self, **arguments):
         obs, info = self.env.reset(**arguments)
@@ -153,21 +153,21 @@ class EndNotPaid(Right):
 
 
 class SomethingElse(Right):
-    """A bonus for being somewhere: no difference of potentials."""
+    """A bonus for some states, which is not a difference of potentials."""
 
-    def bent(self, added):
+    def transform(self, added):
         return self.last
 
 
 class SuccessorOnly(Right):
     """γΦ(s') without −Φ(s)."""
 
-    def bent(self, added):
+    def transform(self, added):
         return added + self.last
 
 
 class ActionBonus(Right):
-    """F, and a bonus for an action beside it."""
+    """F plus a bonus for one action."""
 
     def step(self, action):
         obs, reward, *rest = super().step(action)
@@ -175,7 +175,7 @@ class ActionBonus(Right):
 
 
 class StateBonus(Right):
-    """F, and a bonus for being somewhere beside it."""
+    """F plus a bonus for some states."""
 
     def step(self, action):
         obs, reward, *rest = super().step(action)
@@ -183,12 +183,12 @@ class StateBonus(Right):
 
 
 class LunarLanderStyle(TerminalPotential):
-    """Neither γ nor an end counts: two mistakes at once."""
+    """Ignores both γ and terminations: two mistakes at once."""
 
     gamma = 1.0
 
 
-#: What the checker must call each.
+#: The finding that the checker must report for each.
 WRONG = {
     NeverApplied: "never_applied",
     TerminalPotential: "nonzero_terminal_potential",
