@@ -13,7 +13,7 @@ def first_name(arguments: Sequence[str], names: Collection[str], default: str) -
 
     Args:
         arguments: of the command.
-        names: the known ones. After options, only these and names with a colon can be told from options' values.
+        names: the known ones. After options, only these and names with a colon differ from the options' values.
         default: if there is none.
     """
     if arguments and not arguments[0].startswith("-"):

@@ -51,7 +51,7 @@ class Experience(eqx.Module):
         return running, jax.tree.map(lambda leaf: leaf[0], transitions)
 
     def remember(self, running: Any, transitions: Transition, shaping: Shaping | None = None) -> "Experience":
-        """What `act` gave, added to the replay, with F beside the raw rewards where there is a shaping."""
+        """What `act` gave, added to the replay, with F next to the raw rewards where there is a shaping."""
         record = Record(transitions, None if shaping is None else shaping.rewards(transitions))
         return Experience(running, self.replay.add(record))
 

@@ -33,7 +33,7 @@ ITERATIONS = {"obstacles": 8000, "clean": 3000}
 def for_grid_games(iterations: int = ITERATIONS["obstacles"]) -> MetaTrainingConfig:
     """Algorithm 1 on grid games: φ_i a table, adapted by many steps on sixteen environments of each of two maps.
 
-    What the choices are worth is told in docs/deviations.md, where it was measured.
+    docs/deviations.md shows the measured effect of these choices.
     """
     return MetaTrainingConfig(
         iterations=iterations,

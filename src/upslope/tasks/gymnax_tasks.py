@@ -68,7 +68,7 @@ def gymnax_tasks(
         params = sampler(jax.random.key(0))
     except Exception as error:
         raise UpslopeError(
-            f"The sampler of parameters failed ({type(error).__name__}: {error}): mend sample_params(key)."
+            f"The sampler of parameters failed ({type(error).__name__}: {error}): fix sample_params(key)."
         ) from error
     actions, action_shape = _actions(env, params)
     obs = _check_signature(env, params, action_shape)
