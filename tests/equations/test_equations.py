@@ -13,7 +13,8 @@ from upslope.equations.shaping import shaped_optimum, shaping_reward
 
 LEFT, RIGHT = jnp.asarray(0), jnp.asarray(1)
 
-reasonable = st.floats(-1e4, 1e4, width=32)
+# JAX flushes subnormal numbers to zero.
+reasonable = st.floats(-1e4, 1e4, width=32, allow_subnormal=False)
 heads = st.tuples(reasonable, st.lists(reasonable, min_size=4, max_size=4))
 
 
