@@ -1,4 +1,4 @@
-"""Two controls that tell what Algorithm 2's gain comes from: each changes one thing about it."""
+"""Two controls that show where Algorithm 2's gain comes from: each changes one thing about it."""
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ from upslope.types import Action, Observation, Scalar, Transition
 
 
 class FrozenPotential(eqx.Module):
-    """V frozen at the prior, two centred A steps: pure shaping. Tells what moving the potential adds."""
+    """V frozen at the prior, with two centred A steps: pure shaping. Shows the effect of adapting the potential."""
 
     def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
         level = Algorithm2(centred=True).level(prior)
@@ -23,7 +23,7 @@ class FrozenPotential(eqx.Module):
 
 
 class CentredTD(eqx.Module):
-    """One TD step on V + A − frozen max A. Tells what is owed to not differentiating through a running maximum."""
+    """One TD step on V + A − frozen max A. Shows the effect of not differentiating through the current maximum."""
 
     def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
         return descend(phi, jax.grad(centred_td_loss)(phi, prior, batch), step_size)
@@ -43,7 +43,7 @@ def centred_td_loss(phi: DuelingQ, prior: AbstractDueling, batch: Transition) ->
 
 
 class OneOf(eqx.Module):
-    """One of several rules, chosen by a number: a comparison of all of them compiles one program."""
+    """One of several rules, chosen by index, so that a comparison of all rules compiles one program."""
 
     rules: tuple[UpdateRule, ...]
     index: Int[Array, ""]

@@ -1,4 +1,4 @@
-"""The MAML baseline: plain fine-tuning of the whole prior by Q-learning, no shaping."""
+"""The MAML baseline: fine-tuning of the whole prior by Q-learning, without shaping."""
 
 import equinox as eqx
 import jax
@@ -11,10 +11,10 @@ from upslope.types import Scalar, Transition
 
 
 class FineTuning(eqx.Module):
-    """MAML's way to a new task: Eq. 2 on the TD error of Eq. 5.
+    """MAML's adaptation to a new task: Eq. 2 on the TD error of Eq. 5.
 
     Attributes:
-        steps: gradient steps per update. Two make as many gradient steps as Algorithm 2's pair.
+        steps: gradient steps per update. With two, there are as many gradient steps as in one update of Algorithm 2.
     """
 
     steps: int = eqx.field(static=True, default=1)
@@ -25,7 +25,7 @@ class FineTuning(eqx.Module):
 
 
 def fine_tuning_loss(phi: DuelingQ, batch: Transition) -> Scalar:
-    """Mean of Eq. 5 with Eq. 6's Q, the target a constant."""
+    """Mean of Eq. 5 with Eq. 6's Q and a constant target."""
     next_value = jax.lax.stop_gradient(jax.vmap(phi.value)(batch.next_obs))
     q = jax.vmap(phi.q)(batch.obs, batch.action)
     return jnp.mean(jax.vmap(td_loss)(q, batch.reward, batch.discount, next_value))

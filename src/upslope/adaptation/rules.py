@@ -7,7 +7,7 @@ from upslope.adaptation.controls import CentredTD, FrozenPotential
 from upslope.adaptation.fine_tuning import FineTuning
 from upslope.tasks.family import AbstractFamily
 
-#: By the name on the command line and in figures. A new rule is one class and one line here.
+#: Rules by their names on the command line and in figures. A new rule is one class and one line here.
 RULES: dict[str, UpdateRule] = {
     "algorithm2": Algorithm2(centred=True),
     "algorithm2_raw": Algorithm2(centred=False),
@@ -17,7 +17,7 @@ RULES: dict[str, UpdateRule] = {
     "maml_two_steps": FineTuning(steps=2),
 }
 
-#: By the name that a family gives as its ``recipe``.
+#: Settings by the ``recipe`` of a family.
 RECIPES: dict[str, Callable[[], AdaptationConfig]] = {
     "vectors": AdaptationConfig,
     "images": for_maps,
@@ -26,5 +26,5 @@ RECIPES: dict[str, Callable[[], AdaptationConfig]] = {
 
 
 def suited_to(family: AbstractFamily) -> AdaptationConfig:
-    """The settings for the recipe that a family names."""
+    """The settings for a family's recipe."""
     return RECIPES[family.recipe]()

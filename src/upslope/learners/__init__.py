@@ -1,4 +1,4 @@
-"""What learns one task: DQN, DDPG, and what they are made of. A new learner is one file, and one line here."""
+"""Learners of one task: DQN and DDPG, and their parts. A new learner is one file and one line here."""
 
 from upslope.errors import UpslopeError
 from upslope.learners.ddpg import DDPGConfig
@@ -6,15 +6,15 @@ from upslope.learners.dqn import DQNConfig
 from upslope.learners.settings import AbstractLearnerConfig
 from upslope.tasks.family import AbstractFamily
 
-#: By name. The first for a kind of action is the default there.
+#: Learners by name. The first one for a kind of action is the default for that kind.
 LEARNERS: dict[str, type[AbstractLearnerConfig]] = {config.name: config for config in (DQNConfig, DDPGConfig)}
 
 
 def suited_to(family: AbstractFamily) -> AbstractLearnerConfig:
-    """The settings of the default learner for a family: the first for its kind of action, by the family's recipe.
+    """The settings of a family's default learner: the first one for its kind of action, by the family's recipe.
 
     Raises:
-        UpslopeError: no learner is for this kind of action.
+        UpslopeError: there is no learner for this kind of action.
     """
     for config in LEARNERS.values():
         if config.actions == family.actions.kind:

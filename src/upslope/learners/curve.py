@@ -1,4 +1,4 @@
-"""How well a learner did on its way."""
+"""Learning curves."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,12 @@ from jaxtyping import Float, Int
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LearningCurve:
-    """How well a learner did at each of its reports, the first of them before any update.
+    """A learner's performance at each of its reports. The first report is before any update.
 
     Attributes:
-        updates: steps taken; of Algorithm 1, iterations.
-        returns: of the greedy policy, raw and undiscounted.
-        metrics: means of the learner's own measurements since the report before, by name.
+        updates: the number of updates before each report; for Algorithm 1, of iterations.
+        returns: the raw, undiscounted return of the greedy policy.
+        metrics: the mean of each of the learner's metrics since the previous report, by name.
     """
 
     updates: Int[np.ndarray, "reports"]
@@ -21,7 +21,7 @@ class LearningCurve:
     metrics: dict[str, Float[np.ndarray, "reports ..."]]
 
     def summary(self) -> str:
-        """The first and the last return, the best one, and how many updates there were."""
+        """The first, last and best return, and the number of updates."""
         first, last, best = self.returns[0], self.returns[-1], np.max(self.returns)
         return f"return {first:.4g} → {last:.4g} in {self.updates[-1]} updates (best {best:.4g})"
 

@@ -1,4 +1,4 @@
-"""What a learner of one task reports: how well its greedy policy does, by the raw rewards."""
+"""Reports of a learner of one task: the raw return of its greedy policy."""
 
 from typing import Any
 
@@ -15,8 +15,8 @@ from upslope.types import Key, Scalar, Task
 def greedy_report(key: Key, family: AbstractFamily, task: Task, policy: Greedy, episodes: int) -> dict[str, Scalar]:
     """The ``return`` of the greedy policy on one task, raw and undiscounted.
 
-    In finite tasks it is exact, from the policy in every state, and the ``discounted_return`` comes with it; elsewhere
-    it is the mean of some fresh episodes.
+    In finite tasks it is computed exactly from the policy in every state, and ``discounted_return`` is reported too.
+    In other tasks it is the mean over ``episodes`` fresh episodes.
     """
     if family.lists_states:
         return exact_report(family, task, policy)

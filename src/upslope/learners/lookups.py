@@ -1,4 +1,4 @@
-"""Networks in every state of a finite task: evaluated in all of them at once, and looked up after that."""
+"""Networks evaluated in all states of a finite task at once, with results that are then looked up."""
 
 from dataclasses import replace
 from typing import Any
@@ -12,7 +12,7 @@ from upslope.networks.dueling import AbstractDueling, DuelingQ, DuelingTable
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Action, Key, Task
 
-#: One state among all states costs a third of what it costs alone (the paper's network, CPU).
+#: In a batch of all states, one state costs a third of a single evaluation (the paper's network, CPU).
 _CHEAPER_TOGETHER = 3
 
 
@@ -20,8 +20,8 @@ class BestTable(eqx.Module):
     """The best action in every state, as a network for policies.
 
     Attributes:
-        states: with ``state_number(obs)``.
-        actions: the best one in every state ``[states, ...]``.
+        states: has ``state_number(obs)``.
+        actions: the best action in every state ``[states, ...]``.
         network: draws random actions.
     """
 
@@ -37,7 +37,7 @@ class BestTable(eqx.Module):
 
 
 def dueling_table(family: AbstractFamily, task: Task, network: DuelingQ) -> AbstractDueling:
-    """The network in every state of one task; the network itself where states can't be listed."""
+    """A table of the network in all states of one task; the network itself if states can't be listed."""
     if not family.lists_states:
         return network
     values, outputs = jax.vmap(network.heads)(family.states.observe_all(task))
@@ -45,7 +45,7 @@ def dueling_table(family: AbstractFamily, task: Task, network: DuelingQ) -> Abst
 
 
 def policy_with_table(family: AbstractFamily, task: Task, policy: AbstractPolicy, steps: int) -> AbstractPolicy:
-    """The same policy; in a finite task its best actions are computed once for all states, where that is cheaper."""
+    """The same policy. In a finite task its best actions are computed once for all states if that is cheaper."""
     if not family.lists_states:
         return policy
     observations = family.states.observe_all(task)

@@ -1,4 +1,4 @@
-"""A pure uniform replay buffer: a ring of records as one immutable PyTree."""
+"""A uniform replay buffer: a ring of records as one immutable PyTree."""
 
 from typing import Any
 
@@ -12,11 +12,11 @@ from upslope.types import Key
 
 
 class Replay(eqx.Module):
-    """The newest ``capacity`` records: transitions with raw rewards, and whatever a learner keeps beside them.
+    """The newest ``capacity`` records: transitions with raw rewards, and other data that a learner stores.
 
     Attributes:
         data: a PyTree of arrays ``[capacity, ...]``.
-        added: how many records were ever added.
+        added: the total number of records added so far.
     """
 
     data: Any
@@ -38,7 +38,7 @@ class Replay(eqx.Module):
         return _length(self.data)
 
     def add(self, records: Any) -> "Replay":
-        """Adds ``[n, ...]`` records; the oldest make room.
+        """Adds ``[n, ...]`` records, which replace the oldest ones.
 
         Raises:
             UpslopeError: more records than the capacity.
@@ -54,7 +54,7 @@ class Replay(eqx.Module):
         return Replay(data, self.added + count)
 
     def sample(self, key: Key, count: int) -> Any:
-        """Draws ``count`` records uniformly, with replacement, from those present (at least one must be)."""
+        """Draws ``count`` records uniformly, with replacement, from those present; there must be at least one."""
         present = jnp.minimum(self.added, self.capacity)
         where = jax.random.randint(key, (count,), 0, jnp.maximum(present, 1))
         return jax.tree.map(lambda ring: ring[where], self.data)

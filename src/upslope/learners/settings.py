@@ -1,4 +1,4 @@
-"""What the settings of a learner of one task have in common: they name the learner and build it."""
+"""The interface of the settings of learners of one task: they name the learner and build it."""
 
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
@@ -11,13 +11,13 @@ from upslope.types import Key, Task
 
 
 class AbstractLearnerConfig(ABC):
-    """Settings of a learner. A new learner is one file with such a class, and one line in `upslope.learners`.
+    """Settings of a learner. A new learner is one file with such a class and one line in `upslope.learners`.
 
-    Subclasses are frozen dataclasses whose fields JSON can hold.
+    Subclasses are frozen dataclasses with fields that can be stored as JSON.
 
     Attributes:
-        name: on the command line, in log folders and in files of agents.
-        actions: the kind of action that it needs, "discrete" or "continuous".
+        name: the learner's name on the command line, in log folders and in agent files.
+        actions: the kind of action that the learner needs, "discrete" or "continuous".
     """
 
     name: ClassVar[str]
@@ -30,7 +30,7 @@ class AbstractLearnerConfig(ABC):
 
     @abstractmethod
     def build(self, family: AbstractFamily, task: Task, shaping: Shaping | None) -> AbstractTaskLearner:
-        """The learner of one task, its rewards shaped where a shaping is given.
+        """The learner of one task, with shaped rewards if a shaping is given.
 
         Raises:
             UpslopeError: the family has another kind of action.
@@ -40,17 +40,17 @@ class AbstractLearnerConfig(ABC):
     def policy_network(
         self, key: Key, observation_shape: tuple[int, ...], actions: int, observation_scale: tuple[float, ...]
     ) -> Any:
-        """A network with random weights that acts: it has ``best(obs)`` and ``numpy_best()``."""
+        """A policy network with random weights: it has ``best(obs)`` and ``numpy_best()``."""
 
     @abstractmethod
     def acting(self, state: Any) -> Any:
-        """The network that acts, of a state of the learner."""
+        """The network that acts, from a state of the learner."""
 
     def check_actions(self, family: AbstractFamily) -> None:
-        """Whether the family has the kind of action that the learner needs.
+        """Checks that the family has the kind of action that the learner needs.
 
         Raises:
-            UpslopeError: it has another.
+            UpslopeError: it has another kind.
         """
         kind = family.actions.kind
         if kind != self.actions:

@@ -10,9 +10,9 @@ from upslope.types import Observation, Potential, Scalar, Transition
 
 
 class Shaping(eqx.Module):
-    """F for batches of transitions.
+    """Shaping rewards F for batches of transitions.
 
-    Build it with `potential_based`, or, if Thm. 2.1 need not hold, with `not_policy_invariant`.
+    Build it with `potential_based`, or with `not_policy_invariant` if Thm. 2.1 need not hold.
 
     Attributes:
         potential: Φ.
@@ -40,7 +40,7 @@ def potential_based(potential: Potential) -> Shaping:
 def not_policy_invariant(potential: Potential, gamma: float) -> Shaping:
     """Shaping that keeps Φ at terminal states: **not policy-invariant**, Thm. 2.1 does not hold for it.
 
-    It exists because people use it and because it often learns faster; every comparison labels it.
+    It is included because people use it and learning is often faster with it. Every comparison labels it.
     """
     return Shaping(potential, jnp.asarray(gamma, jnp.float32))
 

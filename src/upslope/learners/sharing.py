@@ -1,4 +1,4 @@
-"""One learner's tasks, shared by several devices: each has its own of them, and what is learned is averaged."""
+"""Sharing one learner's tasks between devices: each device has some of the tasks, and the results are averaged."""
 
 from typing import TypeVar
 
@@ -9,7 +9,7 @@ Numbers = TypeVar("Numbers")
 
 
 def most_devices(tasks: int, devices: int) -> int:
-    """How many of the devices can have equally many tasks each."""
+    """The largest number of devices that can have equal numbers of tasks."""
     return max(share for share in range(1, devices + 1) if tasks % share == 0)
 
 
@@ -18,7 +18,7 @@ def own_tasks(of_all: Stacked, axis: str | None) -> Stacked:
 
     Args:
         of_all: the same on every device.
-        axis: of the mesh that the devices lie along; None for a device that has all tasks.
+        axis: the mesh axis of the devices; None for a device that has all tasks.
     """
     if axis is None:
         return of_all
@@ -32,5 +32,5 @@ def own_tasks(of_all: Stacked, axis: str | None) -> Stacked:
 
 
 def mean_of_all(own: Numbers, axis: str | None) -> Numbers:
-    """The mean over all devices of what each has found for its own, equally many, tasks."""
+    """The mean over all devices of each device's numbers. All devices have equally many tasks."""
     return own if axis is None else jax.lax.pmean(own, axis)

@@ -1,4 +1,4 @@
-"""The networks of learners on continuous actions: an actor, and a critic of its actions.
+"""The networks of learners with continuous actions: an actor and a critic.
 
 Both are plain PyTrees that act on one observation; map over batches at the call site.
 """
@@ -19,7 +19,7 @@ from upslope.types import Key, Observation, Scalar
 
 
 class Actor(eqx.Module):
-    """A deterministic policy, bounded to [−1, 1] by tanh; the torso suits the observations."""
+    """A deterministic policy, bounded to [−1, 1] by tanh. The torso depends on the shape of the observations."""
 
     torso: AbstractTorso
     head: eqx.nn.Linear
@@ -33,7 +33,7 @@ class Actor(eqx.Module):
 
     @property
     def actions(self) -> int:
-        """How many numbers are in an action."""
+        """The number of components of an action."""
         return self.head.weight.shape[-2]
 
     def pre_activation(self, obs: Observation) -> Float[Array, "actions"]:
@@ -51,10 +51,10 @@ class Actor(eqx.Module):
 
 
 class Critic(eqx.Module):
-    """Q(s, a) of a continuous action, by fully connected layers on both together.
+    """Q(s, a) of a continuous action: fully connected layers on state and action together.
 
     Attributes:
-        seeing: makes features of images first; None for vectors.
+        seeing: the torso that computes features of images first; None for vectors.
     """
 
     torso: MLP

@@ -20,14 +20,14 @@ from upslope.types import Key
 
 
 class ConvolutionalTorso(AbstractTorso):
-    """Layers of 3 × 3 kernels, then fully connected layers: in the paper four layers of 32 kernels, and two.
+    """Layers of 3 × 3 kernels, then fully connected layers: in the paper four layers of 32 kernels, then two.
 
     Attributes:
-        kernels: of each layer ``[3, 3, inputs, outputs]``; padding is SAME, or nothing of a small map is left.
-        biases: of each layer.
+        kernels: one for each layer, ``[3, 3, inputs, outputs]``. The padding is SAME: without it small maps vanish.
+        biases: one array for each layer.
         dense: the fully connected layers, on the flattened maps.
-        convolution: which form of the convolution; all give the same numbers, and files do not store it.
-        precision: of its factors; files do not store it either.
+        convolution: the form of the convolution. All forms give the same results, and files do not store it.
+        precision: of the convolution's factors; files do not store it either.
     """
 
     twin: ClassVar[type[NumpyConvolutional]] = NumpyConvolutional
@@ -80,7 +80,7 @@ def convolutional_torso(
     """A fresh torso for maps of ``(height, width, channels)``, with the fastest form of the convolution."""
     height, width, inputs = shape
     keys = jax.random.split(key, len(channels) + 1)
-    # He's initialisation: at the scale of fully connected layers' default a map would fade from layer to layer.
+    # He initialisation: with the default scale of fully connected layers, activations would shrink in each layer.
     kernel = jax.nn.initializers.he_normal(in_axis=(0, 1, 2))
     pairs = zip(keys, (inputs, *channels[:-1]), channels, strict=False)
     return ConvolutionalTorso(

@@ -22,7 +22,7 @@ class AbstractDueling(eqx.Module):
     """V, A and Q of one observation, from the outputs of the two heads. V(s) is max over a of Q(s, a), exactly.
 
     Attributes:
-        advantage_head: how A is read from its outputs.
+        advantage_head: computes A from its outputs.
     """
 
     advantage_head: eqx.AbstractVar[AbstractAdvantageHead]
@@ -61,7 +61,7 @@ class AbstractDueling(eqx.Module):
 
 
 class DuelingQ(AbstractDueling):
-    """V head and A head on one torso, which suits the observations."""
+    """V head and A head on one torso, which depends on the shape of the observations."""
 
     torso: AbstractTorso
     value_head: eqx.nn.Linear
@@ -80,11 +80,11 @@ class DuelingQ(AbstractDueling):
         """A network with random weights.
 
         Args:
-            key: of the weights.
+            key: random key of the weights.
             inputs: the length of the observations, or the shape of one.
-            actions: how many discrete actions, or numbers in a continuous one.
+            actions: the number of discrete actions, or of components of a continuous action.
             hidden: widths of the fully connected layers.
-            scale: what observations are multiplied with.
+            scale: factors by which observations are multiplied.
             activation: of the hidden layers.
             head: the class of the A head.
         """
@@ -101,19 +101,19 @@ class DuelingQ(AbstractDueling):
         return self.value_head(features)[0], self.advantage_head(features)
 
     def numpy_best(self) -> Callable[[np.ndarray], np.ndarray]:
-        """`best` as a NumPy function of a batch ``[n, *obs]``. V is not needed: it moves no maximum."""
+        """`best` as a NumPy function of a batch ``[n, *obs]``. V is not needed: it does not change the best action."""
         features, weights = self.torso.numpy_features(), affine(numpy_layer(self.advantage_head))
         best, no_value = self.advantage_head.best, np.zeros(1, np.float32)
         return lambda obs: best(no_value, np.dot(weights, features(obs)).T)
 
 
 class DuelingTable(AbstractDueling):
-    """What the heads say in every state of a finite task, computed once. Carries no gradient to the network.
+    """The outputs of the heads in every state of a finite task, computed once. It carries no gradient to the network.
 
     Attributes:
-        states: with ``state_number(obs)``: an observation's place in the table.
+        states: has ``state_number(obs)``, the index of an observation in the table.
         values: V in every state.
-        outputs: of the A head, in every state.
+        outputs: the A head's outputs in every state.
     """
 
     states: Any = eqx.field(static=True)
@@ -127,9 +127,9 @@ class DuelingTable(AbstractDueling):
 
 
 class ByAdvantage(eqx.Module):
-    """Acts by the A head (Algorithm 2): the best action is that of the highest A(s, ·).
+    """A policy network that follows the A head (Algorithm 2): the best action has the highest A(s, ·).
 
-    Eq. 6's Q has its maximum there too, but where V is large, Q of two actions can round to one number.
+    Eq. 6's Q has its maximum there too, but if V is large, the Q of two actions can round to the same number.
     """
 
     network: AbstractDueling

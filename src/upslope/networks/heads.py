@@ -13,15 +13,15 @@ from upslope.types import Action, Key
 
 
 class AbstractAdvantageHead(eqx.Module):
-    """One affine map from features to outputs, and how A is read from the outputs.
+    """One affine map from features to outputs, and methods that compute A from the outputs.
 
-    The readings work on JAX's and NumPy's arrays alike, for one state's outputs ``[units]`` or many ``[..., units]``.
+    These methods work on JAX and NumPy arrays, for the outputs of one state ``[units]`` or of many ``[..., units]``.
 
     Attributes:
-        name: in files and settings.
+        name: the name of the head in files and settings.
         action_kind: "discrete" or "continuous".
         weight: of the affine map.
-        bias: likewise.
+        bias: of the affine map.
     """
 
     name: eqx.AbstractClassVar[str]
@@ -36,9 +36,9 @@ class AbstractAdvantageHead(eqx.Module):
         """A head with random weights.
 
         Args:
-            key: of the weights.
-            features: how many there are.
-            actions: how many discrete actions, or numbers in a continuous one.
+            key: random key of the weights.
+            features: the number of features.
+            actions: the number of discrete actions, or of components of a continuous action.
         """
 
     @abstractmethod
@@ -110,15 +110,15 @@ class DiscreteHead(AbstractAdvantageHead):
         return jax.random.randint(key, (count,), 0, self.bias.shape[-1])
 
 
-#: By name. A new head is one class, in a file of its own, and one line here.
+#: Heads by name. A new head is one class in a new file, and one line here.
 HEADS: dict[str, type[AbstractAdvantageHead]] = {head.name: head for head in (DiscreteHead,)}
 
 
 def head_class(name: str | None, action_kind: str) -> type[AbstractAdvantageHead]:
-    """The head of a name; None gives the first one for a kind of action.
+    """The head with this name; None for the first head for this kind of action.
 
     Raises:
-        UpslopeError: there is no such head, or it is for other actions.
+        UpslopeError: there is no such head, or it is for another kind of action.
     """
     fitting = {known: head for known, head in HEADS.items() if head.action_kind == action_kind}
     if name is None and fitting:

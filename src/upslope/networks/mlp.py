@@ -19,7 +19,7 @@ class MLP(AbstractTorso):
     """Inputs times a fixed scale, then fully connected layers.
 
     Attributes:
-        layers: one after the other.
+        layers: the layers in order.
     """
 
     twin: ClassVar[type[NumpyMLP]] = NumpyMLP

@@ -1,4 +1,4 @@
-"""Torsos in plain NumPy, made from the tensors of a file: what Φ is computed with in simulator processes. No JAX."""
+"""Torsos in NumPy, built from the tensors of a file, that compute Φ in simulator processes. Needs no JAX."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ class AbstractNumpyTorso(ABC):
     """Features of observations, in double precision.
 
     Attributes:
-        rank: how many axes the observations have that the torso takes.
+        rank: the number of axes of the observations that the torso accepts.
     """
 
     rank: ClassVar[int]
@@ -54,13 +54,13 @@ class NumpyMLP(AbstractNumpyTorso):
     def __init__(self, tensors: Tensors, hidden: Shape, scale: Sequence[float], activation: str):
         self._layers = _layers(tensors, "torso.layers", len(hidden))
         weight, bias = self._layers[0]
-        # The fixed scale of the inputs goes into the first layer's weights.
+        # The first layer's weights include the fixed scale of the inputs.
         self._layers[0] = (weight * np.asarray(scale), bias)
         self._activate = _ACTIVATIONS[activation]
 
     def one(self, obs: np.ndarray) -> Float[np.ndarray, "features"]:
         features = obs
-        # The vector form of `batch`: without the batch axis NumPy's calls cost half as much.
+        # Like `batch` for one vector: without the batch axis NumPy calls take half the time.
         for weight, bias in self._layers:
             features = weight.dot(features)
             features += bias
@@ -104,15 +104,15 @@ class NumpyConvolutional(AbstractNumpyTorso):
         return _dense(images.reshape(len(images), -1), self._layers, self._activate)
 
 
-#: Each with the observations that it takes. A new torso's NumPy twin is registered here.
+#: Torsos by the rank of the observations. Register the NumPy version of a new torso here.
 NUMPY_TORSOS: dict[int, type[AbstractNumpyTorso]] = {torso.rank: torso for torso in (NumpyMLP, NumpyConvolutional)}
 
 
 def numpy_torso_for(observation_shape: Shape) -> type[AbstractNumpyTorso]:
-    """The torso that takes observations of a shape.
+    """The torso for observations of a shape.
 
     Raises:
-        UpslopeError: none does.
+        UpslopeError: there is none.
     """
     try:
         return NUMPY_TORSOS[len(observation_shape)]

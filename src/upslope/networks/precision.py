@@ -1,4 +1,4 @@
-"""How many bits a network's convolutions multiply with."""
+"""The precision of a network's convolutions."""
 
 from typing import TypeVar
 
@@ -13,10 +13,10 @@ Network = TypeVar("Network", DuelingQ, QNetwork)
 
 
 def with_precision(network: Network, precision: str) -> Network:
-    """The same network, its convolutions (if any) computed with this many bits.
+    """The same network with convolutions (if any) of this precision.
 
     Raises:
-        UpslopeError: an unknown precision.
+        UpslopeError: the precision is unknown.
     """
     if precision not in PRECISIONS:
         raise UpslopeError(f"There is no precision {precision!r}: choose {', '.join(PRECISIONS)}.")

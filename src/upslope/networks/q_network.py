@@ -1,4 +1,4 @@
-"""The Q-network of a DQN: no dueling."""
+"""The Q-network of a DQN, without dueling."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ from upslope.types import Key, Observation, Scalar
 
 
 class QNetwork(eqx.Module):
-    """Q(s, ·) of discrete actions; the torso suits the observations."""
+    """Q(s, ·) of discrete actions. The torso depends on the shape of the observations."""
 
     torso: AbstractTorso
     head: eqx.nn.Linear

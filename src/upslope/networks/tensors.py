@@ -1,4 +1,4 @@
-"""Networks as named tensors, for files: the names are the paths of the fields."""
+"""Networks as named tensors, for files. The names are the paths of the fields."""
 
 from collections.abc import Mapping
 from typing import Any, TypeVar
@@ -19,11 +19,11 @@ def from_tensors(skeleton: Network, tensors: Mapping[str, np.ndarray]) -> Networ
     """A network with these tensors.
 
     Args:
-        skeleton: a network of the same structure, or of its shapes (`equinox.filter_eval_shape`).
+        skeleton: a network of the same structure, or its shapes (`equinox.filter_eval_shape`).
         tensors: by name.
 
     Raises:
-        ValueError: tensors of other names, shapes or types than the skeleton's.
+        ValueError: names, shapes or types differ from the skeleton's.
     """
     named = _named_leaves(skeleton)
     if sorted(name for name, _ in named) != sorted(tensors):

@@ -1,4 +1,4 @@
-"""What a torso is: the layers from an observation to the features that all heads share."""
+"""The interface of a torso: the layers from an observation to the features that all heads share."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -26,11 +26,11 @@ class AbstractTorso(eqx.Module):
     """Features of one observation; map over batches at the call site.
 
     Attributes:
-        twin: the same torso in NumPy, made from the tensors of a file.
-        takes_turns: whether networks with weights of their own are faster one after the other than side by side on
-            CPUs. Convolutions with per-task weights are: side by side they become grouped convolutions.
-        scale: what each input is multiplied with, or one factor for all.
-        activation: after each layer.
+        twin: the NumPy version of the torso, built from the tensors of a file.
+        takes_turns: whether several networks with different weights are faster one after the other than in a batch on
+            CPUs. This is so for convolutions: in a batch they become grouped convolutions.
+        scale: a factor for each input, or one for all.
+        activation: the activation after each layer.
     """
 
     twin: eqx.AbstractClassVar[type[AbstractNumpyTorso]]
@@ -61,4 +61,4 @@ class AbstractTorso(eqx.Module):
 
     @abstractmethod
     def with_precision(self, precision: Precision) -> "AbstractTorso":
-        """The same torso, its convolutions (if any) computed with this many bits."""
+        """The same torso with convolutions (if any) of this precision."""

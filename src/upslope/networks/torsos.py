@@ -1,4 +1,4 @@
-"""Which torso takes which observations. A new torso is registered here, and its NumPy twin in `numpy_torsos`."""
+"""Torsos by observation shape. Register a new torso here, and its NumPy version in `numpy_torsos`."""
 
 from upslope.networks.convolutional import ConvolutionalTorso
 from upslope.networks.mlp import MLP
@@ -10,10 +10,10 @@ TORSOS: dict[type, type[AbstractTorso]] = {torso.twin: torso for torso in (MLP, 
 
 
 def torso_class(observation_shape: Shape) -> type[AbstractTorso]:
-    """The torso that takes observations of a shape: vectors, or images ``(height, width, channels)``.
+    """The torso for observations of a shape: vectors, or images ``(height, width, channels)``.
 
     Raises:
-        UpslopeError: none does.
+        UpslopeError: there is none.
     """
     return TORSOS[numpy_torso_for(observation_shape)]
 
@@ -21,10 +21,10 @@ def torso_class(observation_shape: Shape) -> type[AbstractTorso]:
 def fresh_torso(
     key: Key, inputs: int | Shape, hidden: Hidden, scale: Scale | None, activation: Activation = "relu"
 ) -> AbstractTorso:
-    """A torso with random weights that suits the observations: a shape, or the length of a vector.
+    """A torso with random weights for observations of a shape, or for vectors of a length.
 
     Raises:
-        UpslopeError: no torso takes such observations.
+        UpslopeError: there is no torso for this shape.
     """
     shape = (inputs,) if isinstance(inputs, int) else inputs
     return torso_class(shape).fresh(key, shape, hidden, scale, activation)

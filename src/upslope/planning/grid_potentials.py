@@ -1,4 +1,4 @@
-"""Potentials for grid games that are not learned: the optimal value, and one made from the Manhattan distance."""
+"""Potentials for grid games that are not learned: the optimal value, and one from the Manhattan distance."""
 
 from typing import Any
 
@@ -31,13 +31,13 @@ class CellPotential(eqx.Module):
 def optimal_potential(family: JaxTasks, maps: GridParams) -> CellPotential:
     """V* of stacked maps ``[n, ...]``: the best potential (Thm. 3.1). The oracle.
 
-    Without traps and slipping V* is γ to the power of the length of the shortest path, less one.
+    Without traps and slipping, V* is γ^(d − 1), where d is the length of the shortest path.
     """
     return CellPotential(solve_all(family.env, maps, family.gamma).value)
 
 
 def manhattan_potential(family: JaxTasks, maps: GridParams) -> CellPotential:
-    """A hand-made potential for stacked maps ``[n, ...]``: V* as if there were no obstacles and no traps."""
+    """A hand-designed potential for stacked maps ``[n, ...]``: V* as if there were no obstacles and no traps."""
     return CellPotential(_manhattan_of_all(family.env, maps, family.gamma))
 
 

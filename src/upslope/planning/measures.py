@@ -1,4 +1,4 @@
-"""How near a learned V and Q are to V* and Q* on finite tasks. Nothing is sampled: every number is exact.
+"""How close a learned V and Q are to V* and Q* on finite tasks. Nothing is sampled: every number is exact.
 
 Functions are for one task and its tables of numbers per state; `measure_all` takes a network and a stack of tasks.
 """
@@ -150,7 +150,7 @@ def success(mdp: TabularMDP, policy: ActionValues, steps: int) -> States:
 
 
 def feature_norm(features: Float[Array, "states units"]) -> Scalar:
-    """Root mean square of the features. Algorithm 1 to the letter drives it to zero."""
+    """Root mean square of the features. Algorithm 1 as printed drives it to zero."""
     return jnp.sqrt(jnp.mean(features**2))
 
 

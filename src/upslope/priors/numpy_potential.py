@@ -1,4 +1,4 @@
-"""A prior's potential in plain numpy: what a simulator process evaluates at every step. Needs no JAX."""
+"""A prior's potential in NumPy, for simulator processes that evaluate it at every step. Needs no JAX."""
 
 from pathlib import Path
 
@@ -12,14 +12,14 @@ from upslope.priors.prior_file import TrainedOn, read_prior_file
 class NumpyPotential:
     """Φ(s) = V_θ(s) of a saved prior, in float64; one vector costs a few microseconds.
 
-    Immutable, compared by value, and small: copies and pickles hold the parameters and nothing else.
+    It is immutable, compared by value, and small: copies and pickles contain only the parameters and the header.
 
     Attributes:
         trained_on: what the prior was trained on.
     """
 
     def __init__(self, trained_on: TrainedOn, tensors: dict[str, np.ndarray]):
-        """Takes the tensors of a prior's file by their names; `Prior.to_numpy` and `load` call this."""
+        """Takes the tensors of a prior's file by name. `Prior.to_numpy` and `load` call this."""
         self.trained_on = trained_on
         self._tensors = tensors
         self._prepare()
@@ -35,7 +35,7 @@ class NumpyPotential:
 
     @property
     def gamma(self) -> float:
-        """γ that the potential was learned with, and that shaping by it needs."""
+        """The γ with which the potential was learned, and which shaping with it requires."""
         return self.trained_on.gamma
 
     def __call__(self, obs: Shaped[np.ndarray, "*obs"]) -> float:
@@ -47,7 +47,7 @@ class NumpyPotential:
         return self._torso.batch(obs) @ self._head + self._head_bias
 
     def _prepare(self) -> None:
-        """The parameters in double precision."""
+        """Converts the parameters to double precision."""
         about, tensors = self.trained_on, self._tensors
         torso = numpy_torso_for(about.observation_shape)
         self._torso = torso(tensors, about.hidden, about.observation_scale, about.activation)

@@ -1,4 +1,4 @@
-"""Potentials made of networks: one form serves every arm of a comparison, and so one compiled program does."""
+"""Potentials from networks. All arms of a comparison have the same form and share one compiled program."""
 
 from typing import TypeVar
 
@@ -16,12 +16,13 @@ Tree = TypeVar("Tree")
 class MeanPotential(eqx.Module):
     """Φ(s) = bias + scale · mean over k of V_k(s).
 
-    (bias 0, scale 0) is no shaping, (c, 0) a constant potential, K = 1 a prior or an oracle, K > 1 an ensemble.
+    Bias 0 and scale 0 mean no shaping; bias c and scale 0 a constant potential; K = 1 a prior or an oracle; K > 1 an
+    ensemble.
 
     Attributes:
         networks: K dueling networks as one stacked PyTree ``[K, ...]``.
-        scale: of the mean.
-        bias: in units of return.
+        scale: the factor of the mean.
+        bias: added to the scaled mean, in units of return.
     """
 
     networks: DuelingQ
@@ -44,5 +45,5 @@ def constant_potential(like: DuelingQ, level: float) -> MeanPotential:
 
 
 def stack(trees: list[Tree]) -> Tree:
-    """PyTrees of one structure as one, with a leading axis."""
+    """Stacks PyTrees of the same structure along a new leading axis."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)

@@ -1,4 +1,4 @@
-"""A prior: the meta-learned network together with what it was trained on; saved as one safetensors file."""
+"""A prior: the meta-learned network and a record of its training, saved as one safetensors file."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -26,12 +26,12 @@ from upslope.tasks.family import AbstractFamily
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prior:
-    """θ and its provenance. Call it on observations for Φ(s) = V_θ(s); it also acts, by its A head.
+    """θ and its provenance. Call it on observations for Φ(s) = V_θ(s). It can also act, with its A head.
 
     Attributes:
         network: θ.
         trained_on: what it was trained on.
-        curve: of the meta-training, its returns on extra training tasks; None in a prior that was loaded.
+        curve: the learning curve of meta-training, with returns on extra training tasks; None in a loaded prior.
     """
 
     network: DuelingQ
@@ -40,14 +40,14 @@ class Prior:
 
     @property
     def gamma(self) -> float:
-        """γ that the potential was learned with, and that shaping by it needs."""
+        """The γ with which the potential was learned, and which shaping with it requires."""
         return self.trained_on.gamma
 
     def __call__(self, obs: Any) -> Float[Array, "*n"]:
         """Φ(s) = V_θ(s) of one observation ``[*obs]``, or of each in a batch ``[n, *obs]``. JAX can trace it.
 
         Raises:
-            UpslopeError: an observation of another shape.
+            UpslopeError: the observation has another shape.
         """
         obs = jnp.asarray(obs)
         if is_batch(obs.shape, self.trained_on.observation_shape):
@@ -62,7 +62,7 @@ class Prior:
         """The greedy action for one observation ``[*obs]``, or the actions for a batch ``[n, *obs]``, in NumPy.
 
         Raises:
-            UpslopeError: an observation of another shape.
+            UpslopeError: the observation has another shape.
         """
         return act(self._best, self.trained_on.observation_shape, obs)
 
@@ -84,14 +84,14 @@ class Prior:
         )
 
     def check(self, family: AbstractFamily, *, acting: bool = False) -> None:
-        """Whether the prior belongs to a family's tasks.
+        """Checks that the prior belongs to a family's tasks.
 
         Args:
-            family: where it is to be used.
-            acting: the A head is to be used too, so that the actions must be the same.
+            family: the family on which the prior will be used.
+            acting: whether the A head will be used too; then the actions must be the same.
 
         Raises:
-            UpslopeError: another family, γ, observation shape, or (if acting) other actions.
+            UpslopeError: the family, γ, the observation shape or (if acting) the actions differ.
         """
         trained = self.trained_on
         pairs = [
@@ -116,7 +116,7 @@ class Prior:
                 )
 
     def to_numpy(self) -> NumpyPotential:
-        """Φ = V_θ in plain numpy, for host processes: a few microseconds a call, and no JAX."""
+        """Φ = V_θ in NumPy, for host processes. It takes a few microseconds per call and needs no JAX."""
         return NumpyPotential(self.trained_on, to_tensors(self.network))
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
@@ -129,7 +129,7 @@ class Prior:
 
     @classmethod
     def load(cls, path: str | Path) -> "Prior":
-        """Reads what `save` wrote, bit for bit.
+        """Reads a file that `save` wrote, bit for bit.
 
         Raises:
             UpslopeError: a missing, damaged, foreign or newer file, or one with non-finite parameters.
@@ -159,10 +159,10 @@ def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: d
 
 
 def _skeleton(trained_on: TrainedOn) -> DuelingQ:
-    """The shapes of a network of the header's sizes.
+    """The shapes of the network that the header describes.
 
     Raises:
-        ValueError: a head that this version doesn't know.
+        ValueError: this version does not know the head.
     """
     if trained_on.head not in HEADS:
         raise ValueError(f"its advantage head {trained_on.head!r} is unknown")

@@ -1,4 +1,4 @@
-"""The shaping of learners by what users give as a potential: a prior, or a function of one observation."""
+"""Shaping from a user's potential: a prior, or a function of one observation."""
 
 from typing import Any
 
@@ -14,10 +14,10 @@ from upslope.types import Observation, Potential
 
 
 def shaping_by(potential: Potential | Prior | None, family: AbstractFamily) -> Shaping | None:
-    """The shaping by a potential, after a check that it fits the family's tasks; None for no potential.
+    """Shaping with a potential, after a check that it fits the family's tasks; None without a potential.
 
     Raises:
-        UpslopeError: a prior of other tasks, or a function that is not a potential (see `check_potential`).
+        UpslopeError: the prior belongs to other tasks, or the function is not a potential (see `check_potential`).
     """
     if potential is None:
         return None
@@ -28,16 +28,16 @@ def shaping_by(potential: Potential | Prior | None, family: AbstractFamily) -> S
 
 
 def check_potential(potential: Potential, family: AbstractFamily) -> Any:
-    """The potential as a traceable function, after a trial on one observation.
+    """The potential as a function that JAX can trace, after a test on one observation.
 
     Raises:
-        UpslopeError: it returns something else than one finite number, or JAX can't trace it.
+        UpslopeError: it does not return a single finite number, or JAX can't trace it.
     """
     obs: Observation = jnp.zeros(family.observation_shape)
     try:
         shape = jax.eval_shape(potential, obs)
     except Exception as error:
-        why, _, _ = str(error).partition("\n")  # JAX's messages have pages
+        why, _, _ = str(error).partition("\n")  # JAX's messages are pages long
         raise UpslopeError(
             f"The potential failed on one observation of shape {family.observation_shape} "
             f"({type(error).__name__}: {why}): write it with jax.numpy, for one observation."

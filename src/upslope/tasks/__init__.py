@@ -1,4 +1,4 @@
-"""Families of tasks: what is learned over."""
+"""Families of tasks: the distributions that meta-training learns over."""
 
 from upslope.tasks.cartpoles import cartpoles
 from upslope.tasks.family import AbstractFamily

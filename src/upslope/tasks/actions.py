@@ -11,7 +11,7 @@ class DiscreteActions:
     """The integers from 0 to ``count`` − 1.
 
     Attributes:
-        count: how many there are.
+        count: the number of actions.
     """
 
     kind: ClassVar[str] = "discrete"
@@ -19,7 +19,7 @@ class DiscreteActions:
     count: int
 
     def zeros(self, *batch: int, xp: Any = np) -> Any:
-        """Actions of zero ``[*batch]``, as NumPy's or jax.numpy's (``xp``) 32-bit integers."""
+        """Zero actions ``[*batch]``, as 32-bit integers in NumPy or jax.numpy (``xp``)."""
         return xp.zeros(batch, np.int32)
 
 
@@ -28,7 +28,7 @@ class ContinuousActions:
     """Vectors of ``count`` numbers in [−1, 1].
 
     Attributes:
-        count: how many numbers there are in one action.
+        count: the number of components of one action.
     """
 
     kind: ClassVar[str] = "continuous"
@@ -36,7 +36,7 @@ class ContinuousActions:
     count: int
 
     def zeros(self, *batch: int, xp: Any = np) -> Any:
-        """Actions of zero ``[*batch, count]``, in float32, as arrays of NumPy or jax.numpy (``xp``)."""
+        """Zero actions ``[*batch, count]``, in float32, as arrays of NumPy or jax.numpy (``xp``)."""
         return xp.zeros((*batch, self.count), np.float32)
 
 

@@ -1,4 +1,4 @@
-"""What a family of tasks p(T) is: a sampler of tasks that knows how to collect experience from them."""
+"""The interface of a family of tasks p(T): it samples tasks and collects experience from them."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -19,18 +19,18 @@ Network = TypeVar("Network")
 class AbstractFamily(eqx.Module):
     """A distribution over tasks that share a state space.
 
-    Learners ask it for tasks and for experience, in batches with a leading axis of tasks ``[n, ...]``;
-    how the environments run, compiled or on the host, is its own affair.
+    Learners get tasks and experience from it, in batches with a leading axis of tasks ``[n, ...]``. Whether the
+    environments run compiled or on the host is up to the family.
 
     Attributes:
-        name: of the state space. A prior is for a name; the continuous twin of a family shares it.
-        gamma: γ of every task, written nowhere else.
+        name: of the state space. A prior belongs to a name. A family and its version with continuous actions share it.
+        gamma: γ of every task; it is stored only here.
         observation_shape: of one observation.
-        observation_scale: brings each observation to the order of one.
+        observation_scale: factors that scale observations to the order of one.
         actions: their kind and number.
         max_steps: the longest episode.
-        recipe: the name of the settings that suit the family, of meta-training and of learners.
-        lists_states: whether all states of a task can be listed, so that tables and exact planning fit it.
+        recipe: the name of suitable settings of meta-training and of learners.
+        lists_states: whether all states of a task can be listed, as tables and exact planning require.
         engine: how experience is collected: "compiled" into the learner's own program, or on the "host", in Python.
     """
 
@@ -51,7 +51,7 @@ class AbstractFamily(eqx.Module):
     @property
     @abstractmethod
     def states(self) -> Any:
-        """``observe_all(task)``, the observation of every state, and ``state_number(obs)``, its place there.
+        """``observe_all(task)``, the observations of all states, and ``state_number(obs)``, an index into them.
 
         Raises:
             UpslopeError: states can't be listed.
@@ -62,10 +62,10 @@ class AbstractFamily(eqx.Module):
         """Draws one task.
 
         Args:
-            key: a key of JAX, or an integer to make one from.
+            key: a JAX key, or an integer seed for one.
 
         Raises:
-            UpslopeError: something else.
+            UpslopeError: the key is neither of these.
         """
 
     @abstractmethod
@@ -82,10 +82,10 @@ class AbstractFamily(eqx.Module):
 
     @abstractmethod
     def rollout(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Transition:
-        """`reset`, then `collect`, then the environments are given up: transitions ``[n, steps, ...]``."""
+        """`reset`, then `collect`, then discards the environments. Returns transitions ``[n, steps, ...]``."""
 
     def rollout_later(self, key: Key, tasks: Task, policy: Policy, steps: int) -> Callable[[], Transition]:
-        """The same `rollout` in two parts: what is drawn is drawn now, and the environments run when it is called."""
+        """`rollout` in two parts: random numbers are drawn now; the environments run when the result is called."""
         return lambda: self.rollout(key, tasks, policy, steps)
 
     @abstractmethod
@@ -94,7 +94,7 @@ class AbstractFamily(eqx.Module):
 
     @abstractmethod
     def acting_network(self, newest: Network, previous: Network) -> Network:
-        """Which network collects the next experience, after an update: where it is collected meanwhile, the one before.
+        """The network that collects the next experience: the previous one if collection overlaps with the update.
 
         Args:
             newest: after the update.
@@ -113,10 +113,10 @@ class AbstractFamily(eqx.Module):
 
 
 def as_key(key: Any) -> Key:
-    """A key of JAX, from such a key or from an integer.
+    """A JAX key, from a JAX key or from an integer.
 
     Raises:
-        UpslopeError: something else.
+        UpslopeError: it is neither of these.
     """
     if isinstance(key, int | np.integer):
         return jax.random.key(key)
@@ -126,5 +126,5 @@ def as_key(key: Any) -> Key:
 
 
 def recipe_of(observation_shape: tuple[int, ...]) -> str:
-    """The recipe for observations of a shape: that of "images" ``(height, width, channels)``, or of "vectors"."""
+    """The recipe for an observation shape: "images" for ``(height, width, channels)``, "vectors" for ``(n,)``."""
     return {1: "vectors", 3: "images"}[len(observation_shape)]

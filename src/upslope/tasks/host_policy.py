@@ -1,4 +1,4 @@
-"""Policies on the host, whose noise is drawn with the keys that a compiled family would use."""
+"""Policies on the host. Their noise is drawn with the keys that a compiled family would use."""
 
 from collections.abc import Callable
 from typing import Any
@@ -31,7 +31,7 @@ def host_policy(policy: Policy, key: Key, environments: int, steps: int) -> Call
 
 @jax.jit
 def reset_and_act_keys(key: Key) -> tuple[UInt32[Array, "2"], Key]:
-    """The words of the key of a reset, and the key of a policy's noise."""
+    """The two words of the reset key, and the key for a policy's noise."""
     reset_key, act_key = jax.random.split(key)
     return jax.random.key_data(reset_key), act_key
 

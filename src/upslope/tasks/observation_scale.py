@@ -1,4 +1,4 @@
-"""What brings observations to the order of one, found from the bounds of their space."""
+"""Factors that scale observations to the order of one, from the bounds of their space."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,8 @@ from jaxtyping import Shaped
 
 from upslope.errors import UpslopeError
 
-#: Bounds up to here say how large the numbers are; the largest is that of images of bytes.
+#: The largest bounds that are used, by the number of axes (images have bytes). Larger ones say little about typical
+#: values.
 _LARGEST = {1: 100.0, 3: 255.0}
 
 
@@ -19,10 +20,10 @@ def scale_of(
     Args:
         low: smallest values.
         high: largest values.
-        given: the factors, if they were given; else one over the bound where that is finite and small, and 1 elsewhere.
+        given: the factors to use. If None: one over the bound if that is finite and small, otherwise 1.
 
     Raises:
-        UpslopeError: too few or too many factors, or such that are not finite.
+        UpslopeError: there are too few or too many factors, or some are not finite.
     """
     bound = np.maximum(np.abs(low), np.abs(high)).astype(np.float64)
     per_channel = bound.reshape(-1, bound.shape[-1]).max(axis=0)

@@ -1,4 +1,4 @@
-"""Settings of the families that have a name on the command line, and how a task of each is chosen there."""
+"""Settings of the families on the command line, and of the choice of a task from each of them."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ class AbstractTaskChoice(ABC):
         """The task, and a description for titles.
 
         Raises:
-            UpslopeError: settings that give no task.
+            UpslopeError: the settings are not valid for a task.
         """
 
 
@@ -38,7 +38,7 @@ class RandomTask(AbstractTaskChoice):
 
 @dataclass(frozen=True)
 class PoleChoice(AbstractTaskChoice):
-    """A CartPole by its pole.
+    """Chooses a CartPole by the length of its pole.
 
     Attributes:
         pole: length of the pole in metres; drawn from the family by default.
@@ -56,15 +56,15 @@ class PoleChoice(AbstractTaskChoice):
 
 
 def draw_task(family: AbstractFamily, seed: int) -> Task:
-    """The task of a family that belongs to a seed."""
+    """The task of a family for a seed."""
     return family.sample(jax.random.fold_in(jax.random.key(seed), 1))
 
 
 class AbstractFamilySettings(ABC):
-    """Settings of a family. Subclasses are frozen dataclasses, whose fields are the options on the command line.
+    """Settings of a family. Subclasses are frozen dataclasses. Their fields are the options on the command line.
 
     Attributes:
-        recipe: the family's own.
+        recipe: the recipe of the family.
         task_choice: the settings that choose one of its tasks.
     """
 
@@ -76,11 +76,11 @@ class AbstractFamilySettings(ABC):
         """The family.
 
         Args:
-            split: of maps, "train" and "test" share none.
+            split: for maps; "train" and "test" share no map.
             actions: the kind of action; families that have only one kind ignore it.
 
         Raises:
-            UpslopeError: settings that make no family.
+            UpslopeError: the settings are not valid for a family.
         """
 
 
@@ -90,7 +90,7 @@ class CartPoles(AbstractFamilySettings):
 
     Attributes:
         length: shortest and longest pole, in metres.
-        half_length: the lengths are of half the pole, as in Gymnasium.
+        half_length: the lengths are half the pole's length, as in Gymnasium.
         track_limit: end of the track, in metres from its middle.
         gamma: discount of the tasks and of the potential.
     """
@@ -134,7 +134,7 @@ class ObstacleMaps(AbstractFamilySettings):
 
 @dataclass(frozen=True)
 class CleanMaps(AbstractFamilySettings):
-    """The paper's 10 × 10 maps without obstacles (Sec. 5.2); test maps have other goals than training maps.
+    """The paper's 10 × 10 maps without obstacles (Sec. 5.2); test maps and training maps have different goals.
 
     Attributes:
         gamma: discount of the tasks and of the potential.
@@ -178,7 +178,7 @@ class GridGames(AbstractFamilySettings):
         )
 
 
-#: By the name on the command line. A new family is one class and one line here.
+#: Families by their names on the command line. A new family is one class and one line here.
 FAMILIES: dict[str, type[AbstractFamilySettings]] = {
     "cartpole": CartPoles,
     "obstacles": ObstacleMaps,

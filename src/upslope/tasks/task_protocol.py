@@ -17,7 +17,7 @@ def sampler_and_factory(
     ``reset_task`` works instead of ``set_task``.
 
     Raises:
-        UpslopeError: the environment has no such methods, or draws other tasks for the same seed.
+        UpslopeError: the environment lacks these methods, or draws different tasks for the same seed.
     """
     sampler = make_env()
     base = sampler.unwrapped
