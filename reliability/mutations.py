@@ -119,8 +119,9 @@ def _forgeries(header: dict[str, Any], body: bytes, generator: random.Random) ->
         yield "an array twice", len(text).to_bytes(8, "little") + text.encode() + body
     metadata = header["__metadata__"]
     for name in metadata:
-        for value in ("", "0", "2", "[" * 50_000, "NaN", "{}", "\x00", None, 3, []):
-            yield "metadata", packed({**header, "__metadata__": {**metadata, name: value}})
+        for value in ("", "0", "1", "2", "[" * 50_000, "NaN", "{}", "\x00", None, 3, []):
+            if value != metadata[name]:
+                yield "metadata", packed({**header, "__metadata__": {**metadata, name: value}})
         yield (
             "metadata missing",
             packed({**header, "__metadata__": {key: value for key, value in metadata.items() if key != name}}),
