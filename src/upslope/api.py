@@ -39,17 +39,18 @@ def meta_train(
     """Algorithm 1: learns a prior over a family of tasks.
 
     Args:
-        family: p(T).
-        seed: of everything random.
-        config: settings; by default the recipe that suits the family.
+        family: the distribution of tasks p(T).
+        seed: the seed of all random numbers.
+        config: the settings; by default the recipe that suits the family.
         session: observers and checkpoints.
-        progress: show a progress bar; by default in a terminal or a notebook, unless the session has observers.
+        progress: whether to show a progress bar; by default in a terminal or a notebook, unless the session has
+            observers.
 
     Returns:
         The prior, with its learning curve in ``prior.curve``.
 
     Raises:
-        UpslopeError: arguments of another type, or training that diverges.
+        UpslopeError: an argument has the wrong type, or training diverges.
     """
     _check_type("meta_train", "family", family, AbstractFamily)
     config = suited_to(family) if config is None else config
@@ -60,14 +61,14 @@ def meta_train(
 
 
 def best_prior(family: AbstractFamily, outcome: Outcome, config: MetaTrainingConfig, index: int, seed: int) -> Prior:
-    """The best snapshot of one meta-training among several, with its provenance and learning curve.
+    """The best snapshot of one learner of a meta-training run, with its provenance and learning curve.
 
     Args:
-        family: that it was trained on.
-        outcome: of the run.
-        config: of the training.
-        index: which of the run's learners.
-        seed: that it began with.
+        family: the family of the training.
+        outcome: the outcome of the run.
+        config: the settings of the training.
+        index: the index of the learner in the run.
+        seed: the learner's seed.
     """
     curve = _curve(outcome, index)
     best = config.best_snapshot(curve.returns)
@@ -91,20 +92,21 @@ def train(
     """Trains an agent on one task: by default DQN on discrete actions, DDPG on continuous ones.
 
     Args:
-        family: of the task.
+        family: the family of the task.
         task: one task, unstacked.
         potential: Φ that shapes the rewards: a prior, or any function of one observation that JAX can trace;
             None for no shaping.
-        updates: gradient updates.
-        every: updates between reports of the raw greedy return.
-        seed: of the agent and its experience.
-        config: settings of the learner, which also say which learner it is; by default those that suit the family.
+        updates: the number of gradient updates.
+        every: the number of updates between reports of the raw greedy return.
+        seed: the seed of the agent and its experience.
+        config: the settings of the learner, which also choose the learner; by default those that suit the family.
         session: observers and checkpoints.
-        progress: show a progress bar; by default in a terminal or a notebook, unless the session has observers.
+        progress: whether to show a progress bar; by default in a terminal or a notebook, unless the session has
+            observers.
 
     Raises:
-        UpslopeError: a prior that does not belong to the tasks, a potential of the wrong shape or not finite, or a
-            learner for another kind of action.
+        UpslopeError: the prior does not belong to the tasks, the potential has the wrong shape or is not finite, or the
+            learner is for another kind of action.
     """
     _check_type("train", "family", family, AbstractFamily)
     config = learner_suited_to(family) if config is None else config
@@ -131,23 +133,24 @@ def adapt(
     """Algorithm 2: adapts a prior to one new task while learning to solve it.
 
     Args:
-        family: of the task.
+        family: the family of the task.
         task: one task, unstacked; for example ``family.sample(key)``.
         prior: θ.
-        updates: pairs of Eqs. 8 and 9.
+        updates: the number of updates: pairs of steps by Eqs. 8 and 9.
         step_size: α.
-        rule: another arm, such as ``FineTuning()`` for MAML; Algorithm 2 by default.
-        seed: of the experience.
-        config: sizes of batches and replay; by default those that suit the family.
+        rule: the update rule, such as ``FineTuning()`` for MAML; Algorithm 2 by default.
+        seed: the seed of the experience.
+        config: the settings, such as batch size; by default those that suit the family.
         session: observers and checkpoints.
-        progress: show a progress bar; by default in a terminal or a notebook, unless the session has observers.
+        progress: whether to show a progress bar; by default in a terminal or a notebook, unless the session has
+            observers.
 
     Returns:
         The task-posterior and its learning curve, with a report before the first and after each update.
 
     Raises:
-        UpslopeError: a prior from another family, or with another γ, observation shape or number of actions; a step
-            size that is not positive; arguments of another type or in another order.
+        UpslopeError: the prior is from another family, or has another γ, observation shape or number of actions; the
+            step size is not positive; or the arguments have the wrong types or order.
     """
     _check_type("adapt", "family", family, AbstractFamily)
     _check_type("adapt", "prior", prior, Prior)
@@ -160,7 +163,7 @@ def adapt(
     return AdaptationResult(Prior(_final_state(outcome).phi, prior.trained_on), _curve(outcome, 0))
 
 
-#: The order of each verb's arguments, for messages.
+#: The order of each verb's arguments, for error messages.
 _ORDERS = {
     "meta_train": "meta_train(family, config=...)",
     "train": "train(family, task, potential, config=...)",
@@ -177,7 +180,7 @@ def _check_type(verb: str, name: str, given: Any, needed: type) -> None:
 
 
 def check_step_size(step_size: float) -> None:
-    """Whether α can be a step size.
+    """Checks that α is a valid step size.
 
     Raises:
         UpslopeError: it is not a positive number.
@@ -195,7 +198,7 @@ def _run_one(
     session: Session | None,
     progress: bool | None,
 ) -> Outcome:
-    """A run of one learner, as a batch of one."""
+    """Runs one learner, as a batch of one."""
     return run(
         broadcast(learner, (1,)),
         jax.random.key(seed)[None],
@@ -207,10 +210,10 @@ def _run_one(
 
 
 def _final_state(outcome: Outcome) -> Any:
-    """The state of a batch of one learner at the end.
+    """The final state of a batch of one learner.
 
     Raises:
-        UpslopeError: the run was finished before, and its checkpoints hold no states.
+        UpslopeError: the run had already finished, and its checkpoints do not contain the states.
     """
     if outcome.flat_states is None:
         raise UpslopeError(

@@ -1,4 +1,4 @@
-"""Algorithm 2: adapting prior and policy together on a new task, A head first, V head second."""
+"""Algorithm 2: adapts prior and policy together to a new task, first the A head, then the V head."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,22 +25,22 @@ from upslope.types import Action, Key, Metrics, Observation, Scalar, Task, Trans
 
 @runtime_checkable
 class UpdateRule(Protocol):
-    """How one arm turns a batch into new parameters: Algorithm 2, MAML, and the controls between them."""
+    """How an arm computes new parameters from a batch: Algorithm 2, MAML, or one of the controls between them."""
 
     def update(self, phi: DuelingQ, prior: AbstractDueling, batch: Transition, step_size: Scalar) -> DuelingQ:
-        """φ after one update on raw transitions ``[n, ...]``; the prior is only evaluated."""
+        """φ after one update on raw transitions ``[n, ...]``. The prior is evaluated but not updated."""
         ...
 
 
 class Algorithm2(eqx.Module):
-    """Algorithm 2's two steps: A by Eq. 8 with the current potential, then V by Eq. 9.
+    """The two steps of Algorithm 2: A by Eq. 8 with the current potential, then V by Eq. 9.
 
     Attributes:
-        centred: subtract the *prior's* frozen max A, so that A starts as Q_θ − V_θ. Training by Eq. 6 leaves the level
-            of the raw A head arbitrary, and the first V steps would have to undo it. Subtracting the *current* max
-            instead would make Eq. 9's gradient identically zero.
-        value_step: the step of Eq. 9, in steps of Eq. 8; 1 as printed. On tables equal steps diverge on some maps, a
-            tenth on none (docs/theorems.md).
+        centred: whether to subtract the *prior's* fixed max A, so that A starts as Q_θ − V_θ. Training by Eq. 6 leaves
+            the level of the raw A head arbitrary, and the first V steps would have to undo it. Subtracting the
+            *current* max instead would make Eq. 9's gradient identically zero.
+        value_step: the step size of Eq. 9 divided by that of Eq. 8; 1 in the paper. With tables, equal steps diverge on
+            some maps, and a ratio of 0.1 on none (docs/theorems.md).
     """
 
     centred: bool = eqx.field(static=True, default=True)
@@ -52,14 +52,14 @@ class Algorithm2(eqx.Module):
         return descend(phi, jax.grad(value_step_loss)(phi, batch, level), self.value_step * step_size)
 
     def level(self, prior: AbstractDueling) -> Callable[[Observation], Scalar]:
-        """A function of s: what is subtracted from A(s, ·)."""
+        """The function of s that is subtracted from A(s, ·)."""
         return prior.highest_advantage if self.centred else (lambda obs: jnp.zeros(()))
 
 
 def advantage_step_loss(
     phi: DuelingQ, potential: AbstractDueling, batch: Transition, level: Callable[[Observation], Scalar]
 ) -> Scalar:
-    """Mean of Eq. 8, with the rewards shaped by the V head of ``potential``, which is a constant here."""
+    """Mean of Eq. 8 with rewards shaped by the V head of ``potential``, which is constant here."""
     shaped = add_shaping(batch, potential_based(jax.lax.stop_gradient(potential).value).rewards(batch))
 
     def loss(obs: Observation, action: Action, reward: Scalar, discount: Scalar, next_obs: Observation) -> Scalar:
@@ -83,11 +83,11 @@ class AdaptationConfig:
     """Settings of adaptation, the same for every arm.
 
     Attributes:
-        batch_size: transitions behind each gradient.
-        replay_capacity: transitions remembered.
+        batch_size: transitions per gradient.
+        replay_capacity: transitions that the replay holds.
         steps_per_update: environment steps before each update.
         epsilon: share of random actions.
-        evaluation_episodes: greedy episodes behind each reported return.
+        evaluation_episodes: greedy episodes that are averaged in each reported return.
     """
 
     batch_size: int = 128
@@ -102,17 +102,17 @@ class AdaptationConfig:
 
 
 def for_maps() -> AdaptationConfig:
-    """Adaptation with the convolutional network on grid games: one longest episode before each update."""
+    """Adaptation with the convolutional network on grid games: one episode of full length before each update."""
     return AdaptationConfig(batch_size=32, replay_capacity=1000, steps_per_update=50)
 
 
 class AdaptationState(eqx.Module):
-    """All that changes while adapting.
+    """Everything that changes during adaptation.
 
     Attributes:
         phi: φ_j, the task-posterior.
-        evaluated: φ for what takes no gradient: acting and reports. In finite tasks it is a table of all states, which
-            saves a third of an update's passes through the network; elsewhere it is φ itself.
+        evaluated: φ for acting and reports, which need no gradient. In finite tasks it is a table of all states, which
+            saves a third of an update's passes through the network; in other tasks it is φ itself.
         prior: θ, likewise.
     """
 
@@ -126,10 +126,10 @@ class AdaptationState(eqx.Module):
 class Adaptation(AbstractTaskLearner):
     """Few-shot learning of one task from a prior, by one of the update rules.
 
-    The policy follows the A head, whatever the rule: Eq. 6's Q has its maximum at the same action.
+    The policy follows the A head for every rule: Eq. 6's Q has its maximum at the same action.
 
     Attributes:
-        prior: θ, where φ starts.
+        prior: θ, the start of φ.
         step_size: α of plain gradient descent.
     """
 

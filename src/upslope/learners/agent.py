@@ -1,4 +1,4 @@
-"""An agent: the network that acts, with what it was trained on; saved as one safetensors file."""
+"""An agent: the network that acts and a record of its training, saved as one safetensors file."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
@@ -26,16 +26,16 @@ class AgentRecord:
     """What an agent was trained on; the JSON header of its file.
 
     Attributes:
-        learner: its name in `upslope.learners.LEARNERS`.
-        settings: of the learner.
-        family: name of the state space.
+        learner: the learner's name in `upslope.learners.LEARNERS`.
+        settings: the learner's settings.
+        family: the name of the state space.
         gamma: γ of the task.
-        observation_shape: of one observation.
-        observation_scale: what the network multiplies observations with.
+        observation_shape: the shape of one observation.
+        observation_scale: factors by which the network multiplies observations.
         action_kind: "discrete" or "continuous".
-        actions: how many discrete actions, or numbers in a continuous one.
-        seed: of the training.
-        version: of upslope.
+        actions: the number of discrete actions, or of components of a continuous action.
+        seed: the seed of the training.
+        version: the version of upslope.
     """
 
     learner: str
@@ -55,7 +55,7 @@ class Agent:
     """A trained policy.
 
     Attributes:
-        network: which acts, on one observation.
+        network: the network that acts; it takes one observation.
         trained_on: what it was trained on.
     """
 
@@ -65,11 +65,11 @@ class Agent:
     def act(self, obs: Any) -> Any:
         """The greedy action for one observation ``[*obs]``, or the actions for a batch ``[n, *obs]``, in NumPy.
 
-        Observations are as the family gives them. A discrete action is an int; a continuous one is an array
+        Observations are as the family returns them. A discrete action is an int. A continuous one is an array
         ``[numbers]`` in [−1, 1], whatever the bounds of the environment.
 
         Raises:
-            UpslopeError: an observation of another shape.
+            UpslopeError: the observation has another shape.
         """
         return act(self._best, self.trained_on.observation_shape, obs)
 
@@ -90,7 +90,7 @@ class Agent:
 
     @classmethod
     def load(cls, path: str | Path) -> "Agent":
-        """Reads what `save` wrote, bit for bit. Nothing in the file is run.
+        """Reads a file that `save` wrote, bit for bit. Nothing in the file is executed.
 
         Raises:
             UpslopeError: a missing, damaged, foreign or newer file, or one with non-finite parameters.
@@ -125,7 +125,7 @@ class Agent:
 
 
 def record(config: AbstractLearnerConfig, family: AbstractFamily, seed: int) -> AgentRecord:
-    """The header of an agent that a learner trained on a task of a family."""
+    """The record of an agent that was trained on a task of a family."""
     settings: Any = config
     return AgentRecord(
         learner=config.name,
@@ -144,12 +144,12 @@ def act(best: Callable[[np.ndarray], np.ndarray], observation_shape: tuple[int, 
     """Actions for one observation or a batch.
 
     Args:
-        best: gives the actions of a batch ``[n, *obs]``.
-        observation_shape: of one observation.
+        best: returns the actions for a batch ``[n, *obs]``.
+        observation_shape: the shape of one observation.
         obs: ``[*obs]`` or ``[n, *obs]``.
 
     Raises:
-        UpslopeError: another shape.
+        UpslopeError: the observations have another shape.
     """
     obs = np.asarray(obs, np.float32)
     if is_batch(obs.shape, observation_shape):
@@ -159,7 +159,7 @@ def act(best: Callable[[np.ndarray], np.ndarray], observation_shape: tuple[int, 
 
 
 def is_batch(shape: tuple[int, ...], observation_shape: tuple[int, ...]) -> bool:
-    """Whether an array of this shape is a batch of observations; else it is a single one.
+    """Whether an array of this shape is a batch of observations; otherwise it is a single observation.
 
     Raises:
         UpslopeError: it is neither.
@@ -175,7 +175,7 @@ def is_batch(shape: tuple[int, ...], observation_shape: tuple[int, ...]) -> bool
 
 
 def _record(header: dict[str, Any]) -> AgentRecord:
-    """Raises ValueError, KeyError or TypeError where the header's entries make no network."""
+    """The record in a header. Raises ValueError, KeyError or TypeError if its entries do not describe a network."""
     record = AgentRecord(**_tuples(header["trained_on"]))
     sizes = (*record.observation_shape, record.actions)
     if not (record.observation_shape and all(type(size) is int and size > 0 for size in sizes)):
@@ -188,7 +188,7 @@ def _record(header: dict[str, Any]) -> AgentRecord:
 
 
 def _skeleton(record: AgentRecord) -> Any:
-    """The shapes of the network that a header announces."""
+    """The shapes of the network that a header describes."""
     config = LEARNERS[record.learner](**record.settings)
     return eqx.filter_eval_shape(
         config.policy_network,

@@ -6,7 +6,7 @@ from upslope.errors import UpslopeError
 
 
 def check_counts(settings: Any, *names: str) -> None:
-    """Whether these settings count something.
+    """Checks that these settings, which count something, are at least 1.
 
     Raises:
         UpslopeError: one is below 1.
@@ -17,7 +17,7 @@ def check_counts(settings: Any, *names: str) -> None:
 
 
 def check_shares(**shares: float) -> None:
-    """Whether these are shares.
+    """Checks that these numbers are shares.
 
     Raises:
         UpslopeError: one is not between 0 and 1.

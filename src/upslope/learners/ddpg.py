@@ -1,4 +1,4 @@
-"""DDPG on continuous actions, shaped or not: the learner of Fig. 1, right."""
+"""DDPG for continuous actions, with or without shaping: the learner of Fig. 1, right."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -27,17 +27,17 @@ class DDPGConfig(AbstractLearnerConfig):
 
     Attributes:
         hidden: widths of the hidden layers of both networks.
-        learning_rate: Adam's step size, for both.
-        decay_updates: bring the step size linearly to zero over so many updates; 0 keeps it.
+        learning_rate: Adam's step size for both networks.
+        decay_updates: number of updates over which the step size falls linearly to zero; 0 keeps it constant.
         batch_size: transitions per update.
-        replay_capacity: transitions remembered.
+        replay_capacity: transitions that the replay holds.
         warmup_steps: steps of the untrained noisy policy before the first update.
         steps_per_update: environment steps before each update.
-        huber_threshold: TD errors of the critic beyond it count linearly, not squared.
-        noise: standard deviation of the exploration noise, in units of the full force.
-        target_rate: share of the networks that moves into the target networks at each update.
-        saturation_penalty: weight of the squared tanh pre-activation in the actor's loss; keeps the tanh alive.
-        evaluation_episodes: noiseless episodes behind each reported return.
+        huber_threshold: the critic's TD errors count linearly beyond this threshold, instead of squared.
+        noise: standard deviation of the exploration noise, as a share of the largest action.
+        target_rate: share of the networks that is mixed into the target networks at each update.
+        saturation_penalty: weight of the squared tanh pre-activation in the actor's loss; it prevents saturation.
+        evaluation_episodes: episodes without noise that are averaged in each reported return.
     """
 
     name: ClassVar[str] = "ddpg"
@@ -62,7 +62,7 @@ class DDPGConfig(AbstractLearnerConfig):
 
     @classmethod
     def for_recipe(cls, recipe: str) -> "DDPGConfig":
-        del recipe  # one set of settings serves all
+        del recipe  # the settings are the same for all recipes
         return cls()
 
     def build(self, family: AbstractFamily, task: Task, shaping: Shaping | None) -> "DDPG":
@@ -79,7 +79,7 @@ class DDPGConfig(AbstractLearnerConfig):
 
 
 class DDPGState(eqx.Module):
-    """All that changes while learning."""
+    """Everything that changes during learning."""
 
     key: Key
     actor: Actor
@@ -91,7 +91,7 @@ class DDPGState(eqx.Module):
 
 
 class DDPG(AbstractTaskLearner):
-    """DDPG on one task, with rewards shaped where the batch is used."""
+    """DDPG on one task. Rewards are shaped when a batch is used."""
 
     family: AbstractFamily
     task: Task
@@ -163,7 +163,7 @@ class DDPG(AbstractTaskLearner):
 def critic_loss(
     critic: Critic, target_actor: Actor, target_critic: Critic, batch: Transition, threshold: float
 ) -> Scalar:
-    """Mean Huber loss of the critic's TD errors, the bootstrap by the target actor's action."""
+    """Mean Huber loss of the critic's TD errors, bootstrapped with the target networks."""
     next_value = jax.vmap(target_critic)(batch.next_obs, jax.vmap(target_actor.best)(batch.next_obs))
     q = jax.vmap(critic)(batch.obs, batch.action)
     errors = jax.vmap(td_error)(q, batch.reward, batch.discount, next_value)
@@ -171,7 +171,7 @@ def critic_loss(
 
 
 def actor_loss(actor: Actor, critic: Critic, batch: Transition, saturation_penalty: float) -> Scalar:
-    """Minus the critic's value of the actor's actions, with a penalty that keeps the tanh from saturating."""
+    """Minus the critic's mean value of the actor's actions, plus a penalty that keeps the tanh from saturating."""
     pre_activation = jax.vmap(actor.pre_activation)(batch.obs)
     q = jax.vmap(critic)(batch.obs, jnp.tanh(pre_activation))
     return -jnp.mean(q) + saturation_penalty * jnp.mean(pre_activation**2)

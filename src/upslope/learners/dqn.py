@@ -1,4 +1,4 @@
-"""Vanilla DQN, shaped or not: the learner of Fig. 1, middle, and of Figs. 3 and 5, right."""
+"""Vanilla DQN, with or without shaping: the learner of Fig. 1, middle, and of Figs. 3 and 5, right."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -30,16 +30,16 @@ class DQNConfig(AbstractLearnerConfig):
     Attributes:
         hidden: widths of the hidden layers.
         learning_rate: Adam's step size.
-        decay_updates: bring the step size linearly to zero over so many updates; 0 keeps it.
+        decay_updates: number of updates over which the step size falls linearly to zero; 0 keeps it constant.
         batch_size: transitions per update.
-        replay_capacity: transitions remembered.
+        replay_capacity: transitions that the replay holds.
         warmup_steps: random steps before the first update.
         steps_per_update: environment steps before each update.
-        huber_threshold: TD errors beyond it count linearly, not squared.
+        huber_threshold: TD errors count linearly beyond this threshold, instead of squared.
         epsilon: share of random actions.
-        target_rate: share of the network that moves into the target network at each update.
-        evaluation_episodes: greedy episodes behind each reported return.
-        precision: of what convolutions multiply; GPUs are faster with less than float32, CPUs only round.
+        target_rate: share of the network that is mixed into the target network at each update.
+        evaluation_episodes: greedy episodes that are averaged in each reported return.
+        precision: precision of the factors in convolutions; below float32 GPUs are faster, and CPUs only round.
     """
 
     name: ClassVar[str] = "dqn"
@@ -83,7 +83,7 @@ class DQNConfig(AbstractLearnerConfig):
 def for_maps() -> DQNConfig:
     """DQN with the paper's convolutional network on grid games (Sec. 5.2).
 
-    ``upslope reproduce grid-learners`` shows what these settings are worth; they are the same for every arm.
+    ``upslope reproduce grid-learners`` shows the effect of these settings. They are the same for every arm.
     """
     return DQNConfig(
         hidden=(128, 128),
@@ -99,7 +99,7 @@ def for_maps() -> DQNConfig:
 
 
 class DQNState(eqx.Module):
-    """All that changes while learning."""
+    """Everything that changes during learning."""
 
     key: Key
     network: QNetwork
@@ -109,7 +109,7 @@ class DQNState(eqx.Module):
 
 
 class DQN(AbstractTaskLearner):
-    """DQN on one task, with rewards shaped where the batch is used."""
+    """DQN on one task. Rewards are shaped when a batch is used."""
 
     family: AbstractFamily
     task: Task
@@ -159,12 +159,12 @@ class DQN(AbstractTaskLearner):
 
 
 def dqn_loss(network: QNetwork, target: QNetwork, batch: Transition, threshold: float) -> Scalar:
-    """Mean Huber loss of the TD errors of a batch, the bootstrap by the target network."""
+    """Mean Huber loss of the TD errors of a batch, bootstrapped with the target network."""
     q, next_value = jax.vmap(network.q)(batch.obs, batch.action), jax.vmap(target.value)(batch.next_obs)
     errors = jax.vmap(td_error)(q, batch.reward, batch.discount, next_value)
     return jnp.mean(jax.vmap(huber, in_axes=(0, None))(errors, threshold))
 
 
 def adam(learning_rate: float, decay_updates: int) -> optax.GradientTransformation:
-    """Adam, its step size fixed or brought linearly to zero."""
+    """Adam with a step size that is constant or falls linearly to zero."""
     return optax.adam(optax.linear_schedule(learning_rate, 0.0, decay_updates) if decay_updates else learning_rate)

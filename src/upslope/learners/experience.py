@@ -1,4 +1,4 @@
-"""A learner's own experience of one task: running environments and a replay of raw rewards."""
+"""A learner's experience of one task: a running environment, and a replay with raw rewards."""
 
 from typing import Any, NamedTuple
 
@@ -16,10 +16,10 @@ from upslope.types import Key, Policy, Scalar, Task, Transition
 
 
 class Record(NamedTuple):
-    """What is remembered of a step: the raw transition and, apart from it, F of a frozen potential.
+    """The record of one step: the raw transition and, separately, F of a fixed potential.
 
-    F is computed once, when the step is taken, not at each of the many times that it is drawn. A potential that moves
-    keeps no F here (``None``): all of a batch must be shaped by one version of Φ.
+    F is computed once, when the step is taken, and not whenever the record is drawn. For a potential that changes, no F
+    is stored (``None``): a whole batch must be shaped by the same version of Φ.
     """
 
     transition: Transition
@@ -27,7 +27,7 @@ class Record(NamedTuple):
 
 
 class Experience(eqx.Module):
-    """One environment of one task, and the records of what happened there."""
+    """One environment of one task, and the records of its steps."""
 
     running: Any
     replay: Replay
@@ -45,13 +45,13 @@ class Experience(eqx.Module):
     def act(
         self, key: Key, family: AbstractFamily, task: Task, policy: AbstractPolicy, steps: int
     ) -> tuple[Any, Transition]:
-        """Acts for ``steps`` steps: the running environment after them, and the raw transitions ``[steps, ...]``."""
+        """Takes ``steps`` steps. Returns the running environment and the raw transitions ``[steps, ...]``."""
         policy = policy_with_table(family, task, policy, steps)
         running, transitions = family.collect(key, _alone(task), self.running, policy, steps)
         return running, jax.tree.map(lambda leaf: leaf[0], transitions)
 
     def remember(self, running: Any, transitions: Transition, shaping: Shaping | None = None) -> "Experience":
-        """What `act` gave, added to the replay, with F next to the raw rewards where there is a shaping."""
+        """Adds the results of `act` to the replay, with F next to the raw rewards if there is a shaping."""
         record = Record(transitions, None if shaping is None else shaping.rewards(transitions))
         return Experience(running, self.replay.add(record))
 
@@ -64,7 +64,7 @@ class Experience(eqx.Module):
         steps: int,
         shaping: Shaping | None = None,
     ) -> tuple["Experience", Transition]:
-        """`act`, then `remember`: the longer experience, and the new raw transitions ``[steps, ...]``."""
+        """`act`, then `remember`. Returns the new experience and the new raw transitions ``[steps, ...]``."""
         running, transitions = self.act(key, family, task, policy, steps)
         return self.remember(running, transitions, shaping), transitions
 
@@ -74,7 +74,7 @@ class Experience(eqx.Module):
 
 
 def greedy_return(key: Key, family: AbstractFamily, task: Task, policy: Policy, episodes: int) -> Scalar:
-    """The mean raw return of fresh episodes on one task; never shaped."""
+    """The mean raw return of fresh episodes on one task, without shaping."""
     copies = jax.tree.map(lambda leaf: jnp.repeat(leaf[None], episodes, axis=0), task)
     return jnp.mean(family.returns(key, copies, policy))
 

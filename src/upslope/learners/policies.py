@@ -1,7 +1,7 @@
-"""How learners act: policies are small PyTrees over a batch of observations, so that any family can run them.
+"""Policies of learners: small PyTrees that act on a batch of observations, so that any family can run them.
 
-On the host a policy draws its noise for many steps at once, in one compiled call, and then acts in NumPy: the same
-actions for the same keys.
+On the host a policy draws its noise for many steps at once, in one compiled call, and then acts in NumPy. The same keys
+give the same actions.
 """
 
 from abc import abstractmethod
@@ -18,10 +18,10 @@ from upslope.types import Acting, Key, Keys
 
 
 class AbstractPolicy(eqx.Module):
-    """A policy in two parts: the noise of a step, which depends on nothing else, and what is done with it.
+    """A policy in two parts: it draws the noise of a step, which depends on nothing else, and then chooses actions.
 
     Attributes:
-        network: with ``best(obs)``, the best action in one state, and, for acting on the host, ``numpy_best()``.
+        network: has ``best(obs)``, the best action in one state, and, for acting on the host, ``numpy_best()``.
     """
 
     network: eqx.AbstractVar[Any]
@@ -32,7 +32,7 @@ class AbstractPolicy(eqx.Module):
 
     @abstractmethod
     def choose(self, noise: Any, best: Any, xp: Any) -> Any:
-        """Actions ``[n, ...]``, given the best ones, with jax.numpy or numpy as ``xp``."""
+        """Actions ``[n, ...]`` from the noise and the best actions, with jax.numpy or numpy as ``xp``."""
 
     def __call__(self, key: Key, obs: Float[Array, "n *obs"]) -> Any:
         return self.choose(self.noise(key, len(obs)), jax.vmap(self.network.best)(obs), jnp)
@@ -40,12 +40,12 @@ class AbstractPolicy(eqx.Module):
     def ahead(self, keys: Keys, obs: Float[Array, "n *obs"]) -> tuple[Any, Callable[[Any, Any], Any]]:
         """The noise of many steps at once, and the policy as a function of one step's noise and observations.
 
-        The same actions as calling the policy with each of the keys; but a loop over steps that draws nothing has half
-        the kernels, and with ten poles starting a kernel is all that a step costs.
+        The actions are the same as when the policy is called with each of the keys. But a loop over steps that draws
+        nothing has half the kernels, and with ten poles a step takes only the time of starting its kernels.
 
         Args:
             keys: one for each step ``[steps]``.
-            obs: of any step: only the shape is used.
+            obs: observations of any step; only the shape is used.
         """
 
         def act(noise: Any, obs: Float[Array, "n *obs"]) -> Any:
@@ -54,11 +54,11 @@ class AbstractPolicy(eqx.Module):
         return _noise_of_steps(self, keys, len(obs)), act
 
     def on_host(self, keys: Keys, count: int) -> Callable[[], Acting] | None:
-        """Makes the policy in NumPy when it is called; None if the network has no such form. JAX draws the noise now.
+        """A function that makes the policy in NumPy; None if the network has no such form. JAX draws the noise now.
 
         Args:
             keys: one for each step ``[steps]``.
-            count: of the environments.
+            count: the number of environments.
         """
         numpy_best = getattr(self.network, "numpy_best", None)
         if numpy_best is None:
@@ -68,10 +68,10 @@ class AbstractPolicy(eqx.Module):
 
     def _acting(self, best: Callable[[np.ndarray], np.ndarray], noise: Any, steps: int) -> Acting:
         leaves, structure = jax.tree.flatten(noise)
-        # Taken apart at once: a PyTree of one step's noise costs as much to make as the network to evaluate.
+        # Split once: building a PyTree of one step's noise takes as long as evaluating the network.
         rows = list(zip(*(np.asarray(leaf) for leaf in leaves), strict=True)) if leaves else [()] * steps
         noises = [jax.tree.unflatten(structure, row) for row in rows]
-        choose = type(self).choose  # looked up once: binding a method of a module costs more than the choice
+        choose = type(self).choose  # looked up once: binding a method of a module takes longer than the choice
 
         def act(step: int, obs: np.ndarray) -> np.ndarray:
             return choose(self, noises[step], best(obs), np)
@@ -87,7 +87,7 @@ _compiled_noise = jax.jit(_noise_of_steps, static_argnames="count")
 
 
 class Greedy(AbstractPolicy):
-    """The best action: where Q(s, ·) is highest, or a deterministic actor's own."""
+    """The best action: the one with the highest Q(s, ·), or a deterministic actor's action."""
 
     network: Any
 
@@ -100,7 +100,7 @@ class Greedy(AbstractPolicy):
 
 
 class EpsilonGreedy(AbstractPolicy):
-    """A uniformly random action with probability ε (one for all, or one for each of the n), else the best one.
+    """A uniformly random action with probability ε (one ε, or one for each of the n), otherwise the best action.
 
     The network draws the random actions: ``random_actions(key, n)``.
     """

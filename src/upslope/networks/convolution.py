@@ -1,9 +1,10 @@
-"""The 3 × 3 convolution as two operations that JAX differentiates and batches as they need it to be fast.
+"""The 3 × 3 convolution as two JAX operations with fast rules for differentiation and batching.
 
-Convolving images with a kernel is bilinear, and so is correlating images with cotangents, its derivative by the kernel;
-the derivative by the images is a convolution with the kernel turned round. So the two are closed under differentiation,
-of any order. Mapped over images they take all of them at once, which is up to twice as fast as mapping what they are
-made of. How a convolution is computed is its form (`upslope.networks.convolution_forms`).
+Convolving images with a kernel is bilinear. Its derivative with respect to the kernel correlates images with
+cotangents, which is bilinear too. Its derivative with respect to the images is a convolution with the reversed kernel.
+So the two operations are closed under differentiation of any order. Mapped over images, a convolution takes all of them
+at once, which is up to twice as fast as mapping its parts. How it is computed is its form
+(`upslope.networks.convolution_forms`).
 """
 
 import functools
@@ -21,14 +22,14 @@ from upslope.networks.convolution_forms import FORMS, Convolution, Images, Kerne
 Precision = Literal["float32", "tensorfloat32", "bfloat16"]
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
-#: What was fastest in compiled loops, by back end (docs/performance.md).
+#: The fastest form in compiled loops, by back end (docs/performance.md).
 FASTEST: dict[str, Convolution] = {"cpu": "winograd"}
 
 
 def fastest_form(backend: str | None = None) -> Convolution:
-    """The form of the convolution to use on a back end; JAX's default one if None.
+    """The form of the convolution to use on a back end; None means JAX's default back end.
 
-    Where nothing was measured yet that is one product with patches: it batches well everywhere.
+    On back ends that were not measured this is one product with patches, which batches well everywhere.
     """
     return FASTEST.get(backend or jax.default_backend(), "patches")
 
@@ -36,17 +37,17 @@ def fastest_form(backend: str | None = None) -> Convolution:
 def convolve(
     images: Images, kernel: Kernel, form: Convolution, precision: Precision = "float32", backend: str | None = None
 ) -> Images:
-    """The convolution in one of its forms, its factors, forwards and backwards, with as many bits as said.
+    """The convolution in one of its forms, with factors of the given precision, forwards and backwards.
 
-    GPUs multiply faster with fewer bits. Elsewhere factors are rounded, which costs time, and shows what fewer bits do
-    to learning.
+    GPUs multiply faster with fewer bits. Elsewhere the factors are rounded. This takes time, but it shows the effect of
+    fewer bits on learning.
 
     Args:
         images: ``[..., height, width, inputs]``.
         kernel: ``[3, 3, inputs, outputs]``.
         form: a name in `FORMS`.
-        precision: of the factors.
-        backend: JAX's default one if None.
+        precision: the precision of the factors.
+        backend: the back end; JAX's default one if None.
     """
     backend = backend or jax.default_backend()
     return _convolution.bind(images, kernel, form=form, precision=precision, backend=backend)
@@ -57,7 +58,7 @@ def _convolved(images: Images, kernel: Kernel, *, form: Convolution, precision: 
 
 
 def _correlated(images: Images, cotangents: Images, *, form: Convolution, precision: Precision, backend: str) -> Kernel:
-    """The derivative of <cotangents, convolution(images, kernel)> by the kernel: the form read backwards."""
+    """The derivative of <cotangents, convolution(images, kernel)> with respect to the kernel: the transposed form."""
 
     def backwards(images: Images, cotangents: Images) -> Kernel:
         kernel = jax.ShapeDtypeStruct((3, 3, images.shape[-1], cotangents.shape[-1]), images.dtype)
@@ -66,9 +67,9 @@ def _correlated(images: Images, cotangents: Images, *, form: Convolution, precis
     return _with_bits(backwards, images, cotangents, precision, backend)
 
 
-#: Bits that are left of a factor's mantissa; sums are float32 in any case.
+#: The number of bits that a factor's mantissa keeps. Sums are always in float32.
 _MANTISSAS: dict[Precision, int] = {"tensorfloat32": 10, "bfloat16": 7}
-#: JAX's names of what GPUs have units for.
+#: JAX's names of the precisions for which GPUs have units.
 ON_GPUS: dict[Precision, str] = {
     "float32": "highest",
     "tensorfloat32": "TF32_TF32_F32",
@@ -77,7 +78,7 @@ ON_GPUS: dict[Precision, str] = {
 
 
 def _with_bits(product: Callable[[Array, Array], Array], a: Array, b: Array, precision: Precision, backend: str) -> Any:
-    """A bilinear function of two arrays of which only so many bits count."""
+    """A bilinear function of two arrays, computed with the given precision."""
     if backend == "gpu":
         with jax.default_matmul_precision(ON_GPUS[precision]):
             return product(a, b)
@@ -88,7 +89,7 @@ def _with_bits(product: Callable[[Array, Array], Array], a: Array, b: Array, pre
 
 
 def _turned(kernel: Kernel) -> Float[Array, "3 3 outputs inputs"]:
-    """The kernel that takes cotangents of the results back to the images."""
+    """The kernel that maps cotangents of the results to cotangents of the images."""
     return kernel[::-1, ::-1].swapaxes(2, 3)
 
 
@@ -98,11 +99,11 @@ def _operation(
     """A JAX primitive of two arrays, computed by a function.
 
     Args:
-        name: in JAX's messages.
-        function: what computes it, of arrays with any leading axes.
-        shape: of its result.
-        side_by_side: what is mapped over the first array alone is one more leading axis of it. All else is mapped as
-            JAX maps what the function is made of.
+        name: its name in JAX's messages.
+        function: the function that computes it; the arrays may have any leading axes.
+        shape: the shape of the result, from the two arrays.
+        side_by_side: whether a map over the first array alone adds a leading axis to it. All other maps map the
+            function's parts, as JAX does.
     """
     primitive = Primitive(name)
 

@@ -1,7 +1,7 @@
-"""Networks in plain NumPy for acting on the host, in float32: a compiled call for each step costs ten times more.
+"""Networks in NumPy for acting on the host, in float32: a compiled call at each step takes ten times as long.
 
-Needs no JAX. Features come with a last row of ones, so that biases are part of the weights: with ten environments a
-step costs as many microseconds as there are calls of NumPy.
+Needs no JAX. Features have a last row of ones, so that biases are part of the weights: with ten environments a step
+takes about one microsecond per NumPy call.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,10 +14,10 @@ from upslope.networks.numpy_convolution import convolve
 #: Weights ``[outputs, inputs]`` and biases ``[outputs]`` of one layer.
 Layer = tuple[np.ndarray, np.ndarray]
 
-#: From observations ``[n, *obs]`` to features and a last row of ones ``[features + 1, n]``.
+#: A function from observations ``[n, *obs]`` to features with a last row of ones ``[features + 1, n]``.
 Features = Callable[[np.ndarray], Float[np.ndarray, "rows n"]]
 
-#: Functions of an array, and of the array that their result goes into.
+#: Functions of an array and an output array.
 _ACTIVATIONS: dict[str, Callable] = {"relu": lambda x, out=None: np.maximum(x, 0.0, out=out), "tanh": np.tanh}
 
 
@@ -25,9 +25,9 @@ def fully_connected(layers: Sequence[Layer], scale: Sequence[float], activation:
     """Fully connected hidden layers.
 
     Args:
-        layers: one after the other.
-        scale: of each input, or one of all.
-        activation: after each layer.
+        layers: the layers in order.
+        scale: a factor for each input, or one for all.
+        activation: the activation after each layer.
     """
     first, *others = [affine(layer) for layer in layers]
     factors = np.broadcast_to(np.asarray(scale, np.float32), first.shape[1] - 1)
@@ -53,10 +53,10 @@ def convolutional(layers: Sequence[Layer], scale: Sequence[float], activation: s
     """Convolutions, then fully connected layers.
 
     Args:
-        layers: kernels ``[3, 3, inputs, outputs]`` and biases, one after the other.
-        scale: of each channel, or one of all.
-        activation: after each convolution.
-        dense: the layers on the flattened maps.
+        layers: kernels ``[3, 3, inputs, outputs]`` and biases of the convolutions, in order.
+        scale: a factor for each channel, or one for all.
+        activation: the activation after each convolution.
+        dense: the fully connected layers, on the flattened maps.
     """
     factors, activate = np.asarray(scale, np.float32), _ACTIVATIONS[activation]
 
@@ -70,5 +70,5 @@ def convolutional(layers: Sequence[Layer], scale: Sequence[float], activation: s
 
 
 def affine(*layers: Layer) -> Float[np.ndarray, "outputs inputs_and_one"]:
-    """Weights of layers on the same features, one below the other; the last column holds their biases."""
+    """The weights of layers on the same features, stacked row by row. The last column holds the biases."""
     return np.concatenate([np.concatenate([weight, bias[:, None]], axis=1) for weight, bias in layers])

@@ -1,4 +1,4 @@
-"""The file of a prior: one safetensors file, its JSON header, and what is checked when it is read. Needs no JAX."""
+"""The file of a prior: one safetensors file, its JSON header, and the checks when it is read. Needs no JAX."""
 
 import math
 from dataclasses import asdict, dataclass, field
@@ -23,17 +23,17 @@ class TrainedOn:
     """What a prior was trained on; the JSON header of its file.
 
     Attributes:
-        family: name of the state space.
+        family: the name of the state space.
         gamma: γ of the tasks, and so of the potential.
-        observation_shape: of one observation.
-        observation_scale: what the network multiplies observations with.
-        actions: of the A head.
+        observation_shape: the shape of one observation.
+        observation_scale: factors by which the network multiplies observations.
+        actions: the number of discrete actions, or of components of a continuous action.
         hidden: widths of the hidden layers.
-        activation: of the hidden layers.
-        seed: of the meta-training.
-        settings: of the meta-training, and what was measured at its end.
-        version: of upslope.
-        head: name of the advantage head.
+        activation: the activation of the hidden layers.
+        seed: the seed of the meta-training.
+        settings: the settings of the meta-training, and the measurements at its end.
+        version: the version of upslope.
+        head: the name of the advantage head.
     """
 
     family: str
@@ -68,7 +68,7 @@ def write_prior_file(
 
 
 def read_prior_file(path: Path) -> tuple[TrainedOn, dict[str, np.ndarray]]:
-    """Reads what `write_prior_file` wrote, bit for bit.
+    """Reads a file that `write_prior_file` wrote, bit for bit.
 
     Raises:
         DamagedFileError: a missing, damaged, foreign or newer file, or one with non-finite parameters.
@@ -89,7 +89,7 @@ def read_prior_file(path: Path) -> tuple[TrainedOn, dict[str, np.ndarray]]:
 
 
 def _check_header(trained_on: TrainedOn) -> None:
-    """Raises ValueError where the header's entries make no network or no discount."""
+    """Raises ValueError if the header's entries do not describe a network, or γ is not a discount."""
     shape, scale, gamma = trained_on.observation_shape, trained_on.observation_scale, trained_on.gamma
     sizes = (*shape, *trained_on.hidden, trained_on.actions)
     if not (
@@ -107,7 +107,7 @@ def _check_header(trained_on: TrainedOn) -> None:
 
 
 def _check_tensors(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndarray]) -> None:
-    """Whether torso and V head are those that the header announces, and all else is the A head's; all finite."""
+    """Checks that torso and V head match the header, that all else is the A head's, and that all numbers are finite."""
     announced = potential_shapes(trained_on)
     foreign = [name for name in tensors if name not in announced and not name.startswith("advantage_head.")]
     if foreign or not announced.keys() <= tensors.keys():
@@ -124,7 +124,7 @@ def _check_tensors(path: Path, trained_on: TrainedOn, tensors: dict[str, np.ndar
 
 
 def potential_shapes(trained_on: TrainedOn) -> dict[str, tuple[int, ...]]:
-    """The names and shapes of the tensors behind Φ: those of the torso and the V head."""
+    """The names and shapes of the tensors of Φ: those of the torso and the V head."""
     torso = numpy_torso_for(trained_on.observation_shape)
     head = {"value_head.weight": (1, trained_on.hidden[-1]), "value_head.bias": (1,)}
     return torso.tensor_shapes(trained_on.observation_shape, trained_on.hidden) | head

@@ -1,4 +1,4 @@
-"""The family of CartPoles with varied pole length (Sec. 5.1)."""
+"""The family of CartPoles with different pole lengths (Sec. 5.1)."""
 
 import math
 
@@ -15,7 +15,7 @@ from upslope.types import Key
 
 
 class PoleLengths(eqx.Module):
-    """Draws CartPoles with a pole length from U[low, high], as full lengths in metres."""
+    """Draws CartPoles with pole lengths from U[low, high]; these are full lengths in metres."""
 
     low: float = eqx.field(static=True)
     high: float = eqx.field(static=True)
@@ -51,15 +51,16 @@ def cartpoles(
 
     Args:
         length: bounds of the uniform distribution of pole lengths, in metres.
-        continuous: one force in [−1, 1] (times 10 N) instead of two pushes.
-        half_length: the bounds are for half the pole, as Gymnasium's ``length`` is, instead of the whole pole.
-        gamma: γ, of every task and of every potential learned here.
-        angle_limit_degrees: the pole has fallen beyond this.
-        track_limit: the cart has left the track beyond this, in metres.
-        max_steps: truncation.
+        continuous: whether an action is a force in [−1, 1] (times 10 N) instead of one of two pushes.
+        half_length: whether the bounds are for half the pole, like Gymnasium's ``length``, instead of the whole pole.
+        gamma: γ of every task and of every potential learned here.
+        angle_limit_degrees: the angle beyond which the pole has fallen.
+        track_limit: the position beyond which the cart has left the track, in metres.
+        max_steps: number of steps after which an episode is truncated.
 
     Raises:
-        UpslopeError: an empty, reversed, negative or non-finite range, or a γ outside (0, 1].
+        UpslopeError: the range is reversed, not positive or not finite, γ is outside (0, 1], or a limit or the number
+            of steps is not positive.
     """
     low, high = length
     if not (math.isfinite(low) and math.isfinite(high) and 0 < low <= high):

@@ -1,9 +1,9 @@
-"""Maps drawn at random, thousands at once, with a goal that can always be reached, and split for training and tests.
+"""Random maps, drawn by the thousand, whose goal can always be reached, split for training and tests.
 
-A map is drawn in three steps, and none is rejected for being unsolvable. Every cell is an obstacle or a trap with its
-probability, independently. The goal is one of the free cells that have a free neighbour. The start is one of the other
-cells from which the goal can be reached through free cells, found by flood fill from the goal. Both are uniform over
-those cells. Where no two free cells touch, as happens on tiny or very dense maps, two neighbouring cells are freed.
+A map is drawn in three steps, and no map is rejected as unsolvable. First, each cell independently becomes an obstacle
+or a trap with the given probabilities. Then the goal is drawn from the free cells that have a free neighbour, and the
+start from the other cells from which the goal can be reached through free cells (by flood fill from the goal). Both are
+uniform over these cells. If no cell can be the goal, as on tiny or very dense maps, two neighbouring cells are freed.
 """
 
 from typing import Literal
@@ -21,23 +21,23 @@ Split = Literal["all", "train", "test"]
 HeldOut = Literal["maps", "goals"]
 Mask = Bool[Array, "height width"]
 
-#: Of all maps, or of all goal cells, so many belong to the tests.
+#: The share of all maps, or of all goal cells, that belongs to the tests.
 TEST_SHARE = 0.2
 
 
 class RandomMaps(eqx.Module):
-    """Draws one map of a split. Which split a map belongs to is a property of the map, so no draw can mix them.
+    """Draws one map of a split. The map alone determines its split, so draws cannot mix the splits.
 
     Attributes:
         height: rows.
         width: columns.
-        obstacles: probability that a cell is one.
-        traps: probability that a cell that is no obstacle is one.
-        trap_penalty: of every map.
-        slip: of every map.
-        max_steps: truncation.
-        split: which maps: "all", "train" or "test".
-        held_out: what no training map shares with a test map: the whole "maps", or even the "goals".
+        obstacles: probability that a cell is an obstacle.
+        traps: probability that a cell that is not an obstacle is a trap.
+        trap_penalty: the trap penalty of every map.
+        slip: the slip probability of every map.
+        max_steps: number of steps after which an episode is truncated.
+        split: the maps to draw: "all", "train" or "test".
+        held_out: what training and test maps do not share: whole "maps", or even "goals".
     """
 
     height: int = eqx.field(static=True)
@@ -59,12 +59,12 @@ class RandomMaps(eqx.Module):
             drawn = self.draw(draw_key)
             return key, drawn, is_test_map(drawn) == (self.split == "test")
 
-        # The loop begins with no map, so that the program draws in one place, and compiles sooner.
+        # The loop starts without a map: the program then draws in one place, and compiles faster.
         nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(self.draw, key))
         return jax.lax.while_loop(lambda carry: ~carry[2], again, (key, nothing, jnp.asarray(False)))[1]
 
     def draw(self, key: Key) -> GridParams:
-        """One map; of the split's goals if goals are held out, of either split if maps are."""
+        """Draws one map: with a goal of the split if goals are held out, and from either split if maps are."""
         cell_key, goal_key, start_key, carve_key = jax.random.split(key, 4)
         shape = (self.height, self.width)
         lots = jax.random.uniform(cell_key, (2, *shape))
@@ -87,7 +87,7 @@ class RandomMaps(eqx.Module):
         )
 
     def allowed_goals(self) -> Bool[np.ndarray, "height width"]:
-        """Cells that can be goals in this split."""
+        """The cells that can be goals in this split."""
         if self.split == "all" or self.held_out == "maps":
             return np.ones((self.height, self.width), bool)
         of_tests = held_out_goals(self.height, self.width)
@@ -95,13 +95,13 @@ class RandomMaps(eqx.Module):
 
 
 def beside(mask: Mask) -> Mask:
-    """Cells with a neighbour, above, below, left or right, in the mask."""
+    """The cells with a neighbour (above, below, left or right) in the mask."""
     padded = jnp.pad(mask, 1)
     return padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
 
 
 def reachable(free: Mask, goal: Int[Array, ""]) -> Mask:
-    """Cells from which the goal can be reached through free cells, the goal among them: flood fill."""
+    """The cells from which the goal can be reached through free cells, including the goal, by flood fill."""
 
     def spread(masks: tuple[Mask, Mask]) -> tuple[Mask, Mask]:
         _, mask = masks
@@ -119,12 +119,12 @@ def held_out_goals(height: int, width: int) -> Bool[np.ndarray, "height width"]:
 
 
 def is_test_map(params: GridParams) -> Bool[Array, ""]:
-    """Whether a map belongs to the tests: a fifth of all maps does, chosen by a hash of all that is on the map."""
+    """Whether a map belongs to the tests, as a fifth of all maps do; a hash of the whole map decides."""
     return fingerprint(params) < np.uint32(TEST_SHARE * 2**32)
 
 
 def fingerprint(params: GridParams) -> UInt32[Array, ""]:
-    """A Zobrist hash: the sum of one fixed random number for each thing in each cell."""
+    """A Zobrist hash: the sum of one fixed random number for each object in each cell."""
     height, width = params.obstacles.shape
     rng = np.random.default_rng([height, width, 1])
     numbers = jnp.asarray(rng.integers(2**32, size=(4, height * width), dtype=np.uint32))
@@ -133,7 +133,7 @@ def fingerprint(params: GridParams) -> UInt32[Array, ""]:
 
 
 def _any_of(key: Key, mask: Mask) -> Int[Array, ""]:
-    """One cell of the mask, uniformly."""
+    """Draws one cell of the mask uniformly."""
     lots = jnp.where(mask.ravel(), jax.random.uniform(key, (mask.size,)), -1.0)
     return jnp.argmax(lots).astype(jnp.int32)
 

@@ -1,4 +1,4 @@
-"""The families of grid games (Sec. 5.2): clean maps, maps with obstacles, and any others."""
+"""The families of grid games (Sec. 5.2): clean maps, maps with obstacles, and others."""
 
 from dataclasses import replace
 from functools import partial
@@ -22,7 +22,7 @@ OBSTACLE_TRAINING_MAPS = 4000
 
 
 class FixedMaps(eqx.Module):
-    """Draws from a fixed set of maps, each as likely as the others."""
+    """Draws uniformly from a fixed set of maps."""
 
     maps: GridParams
 
@@ -46,24 +46,24 @@ def grid_games(
     maps_seed: int = 0,
     flat: bool = False,
 ) -> JaxTasks:
-    """A p(T) over grid games; every goal can be reached (`upslope.tasks.grid_maps` says how).
+    """A p(T) over grid games. Every goal can be reached (see `upslope.tasks.grid_maps`).
 
     Args:
         size: rows and columns.
         obstacles: probability that a cell is an obstacle.
-        traps: probability that a cell that is no obstacle is a trap; above 0 observations have a channel for them.
-        trap_penalty: what entering a trap costs.
+        traps: probability that a cell that is not an obstacle is a trap; above 0, observations have a channel of traps.
+        trap_penalty: cost of entering a trap.
         slip: probability that a move goes to one of its two sides instead.
-        gamma: γ, of every task and of every potential learned here.
-        max_steps: truncation.
+        gamma: γ of every task and of every potential learned here.
+        max_steps: number of steps after which an episode is truncated.
         split: "train" and "test" share no map.
-        held_out: "maps", or "goals": no test goal is in a cell in which a training goal is.
-        maps: a fixed set of so many distinct maps; None draws without end.
-        maps_seed: of the fixed set.
-        flat: observations as vectors instead of ``[height, width, channels]``.
+        held_out: "maps", or "goals": then no test goal is in a cell of a training goal.
+        maps: number of distinct maps in a fixed set; None draws unlimited maps.
+        maps_seed: seed of the fixed set.
+        flat: whether observations are vectors instead of ``[height, width, channels]``.
 
     Raises:
-        UpslopeError: settings that make no game, or more maps than there are.
+        UpslopeError: the settings do not describe a game, or there are fewer maps than asked for.
     """
     _check(size, obstacles, traps, trap_penalty, slip, gamma, max_steps, split, held_out, maps)
     height, width = size
@@ -86,21 +86,21 @@ def grid_games(
 
 
 def clean_maps(split: Split = "all", *, held_out: HeldOut = "maps", gamma: float = 0.9) -> JaxTasks:
-    """The paper's 10 × 10 maps without obstacles; for training a fixed set of 800.
+    """The paper's 10 × 10 maps without obstacles. The training split is a fixed set of 800.
 
-    There are only 100 goals, so most goals of unseen maps are known from training: "goals" holds those out too.
+    There are only 100 goals, so most goals of unseen maps also occur in training; "goals" holds them out too.
     """
     maps = CLEAN_TRAINING_MAPS if split == "train" else None
     return grid_games((10, 10), obstacles=0.0, gamma=gamma, split=split, held_out=held_out, maps=maps)
 
 
 def obstacle_maps(split: Split = "all", *, gamma: float = 0.9) -> JaxTasks:
-    """The paper's 8 × 8 maps on which each cell is an obstacle with probability 0.2; for training a fixed 4,000."""
+    """The paper's 8 × 8 maps with an obstacle probability of 0.2. The training split is a fixed set of 4,000."""
     return grid_games(gamma=gamma, split=split, maps=OBSTACLE_TRAINING_MAPS if split == "train" else None)
 
 
 def distinct_maps(family: JaxTasks, count: int, seed: int = 0) -> GridParams:
-    """So many maps of a family, no two alike, as one stacked PyTree ``[count, ...]``; the same ones for a seed.
+    """``count`` distinct maps of a family as one stacked PyTree ``[count, ...]``; the same maps for the same seed.
 
     Raises:
         UpslopeError: the family has too few.
@@ -120,10 +120,10 @@ def distinct_maps(family: JaxTasks, count: int, seed: int = 0) -> GridParams:
     return jax.tree.map(lambda leaf: jnp.asarray(leaf[:count]), found)
 
 
-#: Draws of a good count each; where these find too few, there are hardly more.
+#: The number of draws of more than ``count`` maps each. If they find too few, there are hardly any more.
 _ATTEMPTS = 20
 
-#: From here on both splits are sure to hold many maps, so that drawing one of a split comes to an end.
+#: The number of cells from which both splits certainly hold many maps, so that drawing from a split ends.
 _CELLS_TO_SPLIT = 12
 
 
@@ -133,7 +133,7 @@ def _draw_many(family: JaxTasks, key: Key, count: int) -> GridParams:
 
 
 def _unique(maps: GridParams) -> GridParams:
-    """The maps without repetitions, in the order of their first appearance; by NumPy, with nothing to compile."""
+    """The maps without duplicates, in the order of first appearance. Uses NumPy, so that nothing is compiled."""
     maps = jax.tree.map(np.asarray, maps)
     layers = np.packbits(np.concatenate([maps.obstacles, maps.traps], axis=1).reshape(len(maps.start), -1), axis=1)
     ends = np.stack([maps.start, maps.goal], axis=1).astype(np.int32)

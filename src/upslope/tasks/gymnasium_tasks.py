@@ -23,21 +23,21 @@ from upslope.types import Key, Policy, Task, Transition
 
 
 class RunningHost(eqx.Module):
-    """Host environments in the middle of their episodes, by the number of their group in the family's rollouts."""
+    """Running host environments, as the number of their group in the family's rollouts."""
 
     number: Int[Array, ""]
 
 
 class GymnasiumTasks(AbstractFamily):
-    """A family over Gymnasium environments, for the same learners as compiled families.
+    """A family of Gymnasium environments, for the same learners as compiled families.
 
-    Inside, a task is the two words of the random key that it was drawn with. So tasks can be stacked, repeated and
+    Internally a task is the two words of the random key with which it was drawn, so tasks can be stacked, repeated and
     saved like those of any family. The sampler is called again whenever an environment is needed, and must return the
     same task for the same ``rng``.
 
-    Box observations of three axes are images ``[height, width, channels]``, and get a convolutional network; all
-    others of Box, Discrete, Dict or Tuple spaces become one vector of numbers. Actions are Discrete, or a Box of one
-    axis with finite bounds, scaled to [−1, 1].
+    Box observations with three axes are images ``[height, width, channels]`` for a convolutional network. All other
+    observations in Box, Discrete, Dict or Tuple spaces become one vector of numbers. Actions are Discrete, or a Box
+    with one axis and finite bounds, scaled to [−1, 1].
 
     Attributes:
         sample_task: draws one task with a NumPy generator.
@@ -70,15 +70,15 @@ class GymnasiumTasks(AbstractFamily):
         """Makes the family, and one environment to read its spaces.
 
         Args:
-            sample: ``sample(rng) -> task``; any value that ``make_env`` accepts.
+            sample: ``sample(rng) -> task``; a task is any value that ``make_env`` accepts.
             make_env: ``make_env(task) -> gymnasium.Env``.
-            gamma: γ, of every task and of every potential learned here.
-            name: of the state space; the environment's id by default.
+            gamma: γ of every task and of every potential learned here.
+            name: the name of the state space; the environment's id by default.
             observation_scale: factors that scale observations to the order of one; by default from the bounds of the
-                space where they are finite and small. For images, one for each channel.
-            max_steps: the longest episode; the environment's own limit by default.
-            mode: a name in `upslope.rollouts.ROLLOUTS`: "sync" runs the environments in this process, "async" each in
-                its own process (a script then needs ``if __name__ == "__main__":``).
+                space if they are finite and small. For images, one for each channel.
+            max_steps: the length of the longest episode; the environment's own limit by default.
+            mode: a name in `upslope.rollouts.ROLLOUTS`: "sync" runs the environments in this process, "async" runs each
+                in its own process (a script then needs ``if __name__ == "__main__":``).
 
         Raises:
             UpslopeError: gamma is not a discount, the mode is unknown, the sampler or factory fails, a space is not
@@ -104,7 +104,7 @@ class GymnasiumTasks(AbstractFamily):
 
     @classmethod
     def from_protocol(cls, make_env: Callable[[], Any], gamma: float, **settings: Any) -> "GymnasiumTasks":
-        """A family from environments of the older protocol: ``sample_tasks(n)`` and ``set_task(task)``.
+        """A family of environments with the older protocol: ``sample_tasks(n)`` and ``set_task(task)``.
 
         Args:
             make_env: makes an environment without arguments.
@@ -112,7 +112,7 @@ class GymnasiumTasks(AbstractFamily):
             settings: see `GymnasiumTasks`.
 
         Raises:
-            UpslopeError: the environment has no such methods, or draws other tasks for the same seed.
+            UpslopeError: the environment lacks these methods, or draws different tasks for the same seed.
         """
         return cls(*sampler_and_factory(make_env), gamma, **settings)
 
@@ -125,14 +125,14 @@ class GymnasiumTasks(AbstractFamily):
         raise UpslopeError("The states of Gymnasium environments can't be listed.")
 
     def acting_network(self, newest: Network, previous: Network) -> Network:
-        del newest  # it is computed while the environments take their steps
+        del newest  # it is computed while the environments run
         return previous
 
     def sample(self, key: Key | int) -> Task:
         return jax.random.key_data(as_key(key))
 
     def task_of(self, task: Task) -> Any:
-        """The sampler's value for a task: the argument of the factory.
+        """The value that the sampler returned for a task: the argument of the factory.
 
         Raises:
             UpslopeError: the sampler fails.
@@ -187,7 +187,7 @@ class GymnasiumTasks(AbstractFamily):
 
     def _transitions(self, trajectories: Trajectories) -> Transition:
         obs, action, reward, terminated, next_obs = trajectories
-        # Truncation keeps the discount at γ: only a true end cuts the future off.
+        # Truncation keeps the discount at γ: only termination cuts off the future.
         discount = (self.gamma * ~terminated).astype(np.float32)
         return Transition(*jax.device_put((obs, action, reward, discount, next_obs)))
 
@@ -204,12 +204,12 @@ class GymnasiumTasks(AbstractFamily):
                 "A task of a host family is what family.sample(key) returns, not a setting of the simulator: for your "
                 "own task, make a family whose sample(rng) returns it."
             )
-        sample = self.sample_task  # once: reading a module's attribute costs more than a draw
+        sample = self.sample_task  # once: reading a module's attribute takes longer than a draw
         return [_draw(sample, row) for row in words]
 
 
 def _actions_of(space: Any) -> Actions:
-    """The actions of a space from `fit_spaces`: a box of one axis, or a discrete space."""
+    """The actions of a space from `fit_spaces`: a box with one axis, or a discrete space."""
     return ContinuousActions(space.shape[0]) if space.shape else DiscreteActions(int(space.n))
 
 

@@ -1,4 +1,4 @@
-"""Families over JAX environments of others: anything with the signature of gymnax ≥ 1.0."""
+"""Families of JAX environments from other libraries, with the signature of gymnax ≥ 1.0."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from upslope.types import Key, Task
 
 
 class AsArrays(eqx.Module):
-    """Draws parameters, and makes arrays of their numbers, so that tasks stack."""
+    """Draws parameters and converts their numbers to arrays, so that tasks can be stacked."""
 
     sample_params: Callable[[Key], Any]
 
@@ -36,30 +36,31 @@ def gymnax_tasks(
     observation_scale: Sequence[float] | None = None,
     max_steps: int | None = None,
 ) -> JaxTasks:
-    """A family over one environment, whose tasks are its parameters; learners compile it into their programs.
+    """A family of tasks in one environment. Tasks are its parameters, and learners compile it into their programs.
 
-    Observations of three axes are images ``[height, width, channels]``, and get a convolutional network; numbers of a
-    discrete space become one-hot, all else one vector. The environment tells terminations from truncations itself:
-    gymnax ≥ 1.0 returns both, and a time limit is a truncation.
+    Observations with three axes are images ``[height, width, channels]`` for a convolutional network. Numbers from a
+    discrete space become one-hot vectors, and all other observations become one vector. The environment distinguishes
+    terminations from truncations: gymnax ≥ 1.0 returns both, and a time limit is a truncation.
 
-    Derive what depends on a parameter that you draw: gymnax's ``CartPole`` with another ``length`` keeps its old
-    ``polemass_length`` unless that is set too. For environments with xminigrid's signature there is
+    If you draw a parameter, also set the parameters that depend on it: gymnax's ``CartPole`` with another ``length``
+    keeps its old ``polemass_length`` unless that is set too. For environments with xminigrid's signature there is
     `upslope.envs.time_steps.TimeStepEnvironment`.
 
     Args:
-        env: with ``reset(key, params)``, the six-value ``step(key, state, action, params)`` that resets by itself and
-            gives the true successor in ``info["final_observation"]``, ``action_space(params)`` and
-            ``observation_space(params)``. Families of one and the same ``env`` share compiled programs.
-        sample_params: draws one task: the parameters. A function of a key that JAX can trace, or such a module.
-        gamma: γ, of every task and of every potential learned here.
-        name: of the state space; the environment's own by default.
-        observation_scale: brings each observation to the order of one; by default from the bounds of the space, where
-            they are finite and small. Of images, one for each channel.
-        max_steps: the longest episode; by default ``max_steps_in_episode`` (or ``max_steps``) of the parameters.
+        env: has ``reset(key, params)``, a six-value ``step(key, state, action, params)`` that resets automatically and
+            returns the true successor in ``info["final_observation"]``, ``action_space(params)`` and
+            ``observation_space(params)``. Families of the same ``env`` share compiled programs.
+        sample_params: draws the parameters of one task: a function of a key that JAX can trace, or such a module.
+        gamma: γ of every task and of every potential learned here.
+        name: the name of the state space; the environment's own by default.
+        observation_scale: factors that scale observations to the order of one; by default from the bounds of the space
+            if they are finite and small. For images, one for each channel.
+        max_steps: the length of the longest episode; by default ``max_steps_in_episode`` (or ``max_steps``) of the
+            parameters.
 
     Raises:
-        UpslopeError: no discount, a sampler that fails, an environment of another signature, an unsupported action
-            space, or no limit of steps.
+        UpslopeError: gamma is not a discount, the sampler fails, the environment has another signature, the action
+            space is not supported, or there is no limit of steps.
     """
     if not (isinstance(gamma, int | float) and 0 < gamma <= 1):
         raise UpslopeError(f"gamma is {gamma!r}, but a discount lies in (0, 1]: give one such as 0.98.")
@@ -87,7 +88,7 @@ def gymnax_tasks(
 
 
 def _actions(env: Any, params: Any) -> tuple[Actions, tuple[int, ...] | None]:
-    """The kind of the actions, and the shape of a continuous one, None for discrete ones."""
+    """The actions, and the shape of a continuous action; None for discrete actions."""
     space = env.action_space(params)
     if hasattr(space, "n"):
         return DiscreteActions(int(space.n)), None
@@ -100,10 +101,10 @@ def _actions(env: Any, params: Any) -> tuple[Actions, tuple[int, ...] | None]:
 
 
 def _check_signature(env: Any, params: Any, action_shape: tuple[int, ...] | None) -> Any:
-    """What an observation looks like.
+    """The shapes of an observation, after a check of the environment's signature.
 
     Raises:
-        UpslopeError: the environment fails, or its step is of another signature.
+        UpslopeError: the environment fails, or its step has another signature.
     """
     action = jnp.zeros((), jnp.int32) if action_shape is None else jnp.zeros(action_shape)
 
@@ -127,7 +128,7 @@ def _check_signature(env: Any, params: Any, action_shape: tuple[int, ...] | None
 
 
 def _observations(space: Any, obs: Any) -> tuple[int, tuple[int, ...]]:
-    """How many observations there are in a discrete space, else 0; and the shape of one, made fit."""
+    """The number of observations in a discrete space, otherwise 0, and the shape of one for learners."""
     leaves = jax.tree.leaves(obs)
     if len(leaves) == 1 and leaves[0].ndim == 0 and hasattr(space, "n"):
         return int(space.n), (int(space.n),)

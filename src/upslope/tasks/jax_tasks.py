@@ -1,4 +1,4 @@
-"""Families whose environments are written in JAX: collection compiles into the learner's own program."""
+"""Families of environments written in JAX. Collection is compiled into the learner's own program."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,14 +16,14 @@ from upslope.types import Key, Keys, Policy, Task, Transition
 
 
 class RunningEnvironments(eqx.Module):
-    """Environments in the middle of their episodes: what to act on, and their states, ``[n, ...]``."""
+    """Running environments: the observations to act on, and the states, ``[n, ...]``."""
 
     obs: Float[Array, "n *obs"]
     state: Any
 
 
 class Always(eqx.Module):
-    """A sampler that always draws the same task: `JaxTasks.only` is a family of one."""
+    """A sampler that always draws the same task, for `JaxTasks.only`."""
 
     task: Task
 
@@ -37,12 +37,12 @@ def _as_pytree(sampler: Callable[[Key], Task]) -> Callable[[Key], Task]:
 
 
 class JaxTasks(AbstractFamily):
-    """A family over any environment with gymnax's signature (≥ 1.0); a task is the environment's parameters.
+    """A family of tasks in any environment with gymnax's signature (≥ 1.0). A task is the environment's parameters.
 
     Attributes:
-        env: ``reset(key, params)`` and the six-value ``step(key, state, action, params)`` with
-            ``info["final_observation"]``. Compared by value, so that equal families share compiled programs.
-        sample_params: draws one task. A plain function, or a module with array leaves.
+        env: has ``reset(key, params)`` and the six-value ``step(key, state, action, params)`` with
+            ``info["final_observation"]``. It is compared by value, so that equal families share compiled programs.
+        sample_params: draws one task; a plain function, or a module with array leaves.
     """
 
     engine: ClassVar[Literal["compiled", "host"]] = "compiled"
@@ -75,7 +75,7 @@ class JaxTasks(AbstractFamily):
         return self.sample_params(as_key(key))
 
     def only(self, task: Task) -> "JaxTasks":
-        """The family of this one task, all else alike. Stacked tasks make a stack of families, in one program."""
+        """The same family with only this task. Stacked tasks make a stack of families, in one program."""
         return replace(self, sample_params=Always(task))
 
     def reset(self, key: Key, tasks: Task) -> RunningEnvironments:
@@ -90,7 +90,7 @@ class JaxTasks(AbstractFamily):
             noise, keys = drawn
             action = act(noise, running.obs)
             obs, state, reward, terminated, _, info = self._step(keys, running.state, action, tasks)
-            # Truncation keeps the discount at γ: only a true end cuts the future off.
+            # Truncation keeps the discount at γ: only termination cuts off the future.
             discount = self.gamma * (1.0 - terminated)
             transition = Transition(running.obs, action, reward, discount, info["final_observation"])
             return RunningEnvironments(obs, state), transition
@@ -125,10 +125,10 @@ class JaxTasks(AbstractFamily):
 
 
 def _ahead(keys: Keys, policy: Policy, obs: Float[Array, "n *obs"]) -> tuple[tuple[Any, Keys], Callable[..., Any]]:
-    """What is drawn in each step, before the first: the policy's noise and the environments' keys ``[steps, n]``.
+    """Draws the policy's noise and the environments' keys ``[steps, n]`` of all steps, before the first step.
 
     Returns:
-        The draws, and the policy, given one step's noise. Policies that are plain functions draw their own.
+        The draws, and the policy as a function of one step's noise. Policies that are plain functions draw their own.
     """
     act_keys, step_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
     step_keys = jax.vmap(lambda key: jax.random.split(key, obs.shape[0]))(step_keys)
