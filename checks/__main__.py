@@ -11,7 +11,7 @@ from pathlib import Path
 import tyro
 
 from checks.jobs import all_jobs, run
-from checks.record import ROOT, STORED, readme_with, record, write
+from checks.record import ROOT, STORED, commit, readme_with, record, write
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class Options:
 
 def main(options: Options) -> int:
     """Runs the jobs one after another; 1 if one of them failed."""
+    before = commit()
     with tempfile.TemporaryDirectory() as folder:
         jobs = [job for job in all_jobs(Path(folder)) if options.only is None or options.only in job.name]
         if options.list:
@@ -33,7 +34,7 @@ def main(options: Options) -> int:
             return 0
         results = [run(job, ROOT) for job in jobs]
     if options.only is None:
-        write(record(results), STORED)
+        write(record(before, results), STORED)
         update_readme()
     return 0 if all(result["passed"] for result in results) else 1
 

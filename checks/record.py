@@ -15,12 +15,17 @@ STORED = ROOT / "docs" / "data" / "check-all.json"
 BEGIN, END = "<!-- check-all: written by `make check-all` -->", "<!-- end of check-all -->"
 
 
-def record(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """What is stored of a run: date, commit, jobs, minutes, and the machine's cores and system."""
+def commit() -> str:
+    """The commit in the working tree, and whether files differ from it. Ask before the jobs, which write files."""
     changed = _git("status", "--porcelain", "--untracked-files=no")
+    return _git("rev-parse", "HEAD") + (", changed since" if changed else "")
+
+
+def record(commit: str, results: list[dict[str, Any]]) -> dict[str, Any]:
+    """What is stored of a run: date, commit, jobs, minutes, and the machine's cores and system."""
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "commit": _git("rev-parse", "HEAD") + (", changed since" if changed else ""),
+        "commit": commit,
         "passed": all(result["passed"] for result in results),
         "minutes": round(sum(result["minutes"] for result in results), 1),
         "machine": {"cores": os.cpu_count(), "system": platform.system()},

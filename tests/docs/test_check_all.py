@@ -41,13 +41,13 @@ def test_a_result_and_its_line(tmp_path):
     tests = {"name": "tests", "passed": True, "minutes": 60.0, "tests": {"passed": 2480, "failed": 0, "skipped": 3}}
     path = tmp_path / "check-all.json"
     assert "no stored result yet" in line(path)
-    content = record([good, tests])
+    content = record("abc", [good, tests])
     write(content, path)
     assert json.loads(path.read_text()) == content
-    assert content["minutes"] == 75.5
+    assert (content["minutes"], content["commit"]) == (75.5, "abc")
     assert set(content["machine"]) == {"cores", "system"}
     assert "all 2 jobs passed (2,480 tests, 76 minutes" in line(path)
-    write(record([good | {"passed": False}, tests]), path)
+    write(record("abc", [good | {"passed": False}, tests]), path)
     assert "failed: reliability (2,480 tests" in line(path)
 
 
