@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from support.scores import Fixed, Scores
-from upslope.learners.policies import EpsilonGreedy, Greedy, Noisy
+from upslope.learners.policies import EpsilonGreedy, Greedy, HeldActions, Noisy
 
 MANY = 20_000
 
@@ -90,3 +90,54 @@ class TestActors:
 
 def test_a_network_without_a_numpy_form_is_refused_on_the_host():
     assert Greedy(SCORES).on_host(jax.random.split(jax.random.key(0), 2), 3) is None
+
+
+class TestHeldActions:
+    """Scores have their highest entry last, so that action 3 is the greedy one."""
+
+    STEPS, COUNT = 400, 500
+
+    def actions(self, epsilon, longest, steps=STEPS):
+        policy = HeldActions(SCORES, epsilon, longest)
+        noise, act = policy.ahead(jax.random.split(jax.random.key(3), steps), jnp.zeros((self.COUNT, 4)))
+        obs = jnp.tile(jnp.arange(4.0), (self.COUNT, 1))
+        return np.asarray(jax.vmap(lambda drawn: act(drawn, obs))(noise)), np.asarray(noise[0])
+
+    def test_lengths_have_the_stated_distribution(self):
+        _, explores = self.actions(0.02, 4)
+        padded = np.pad(explores, ((1, 1), (0, 0)))
+        lengths = []
+        for column in padded.T:
+            edges = np.flatnonzero(np.diff(column.astype(int)))
+            lengths += [end - begin for begin, end in edges.reshape(-1, 2) if end < self.STEPS]
+        shares = np.bincount(lengths, minlength=5)[1:5] / len(lengths)
+        # With ε small, two holds rarely follow one another without a greedy step between.
+        expected = np.arange(1, 5) ** -1.5 / (np.arange(1, 5) ** -1.5).sum()
+        np.testing.assert_allclose(shares, expected, atol=0.025)
+
+    def test_an_action_is_held(self):
+        actions, explores = self.actions(1.0, 50)
+        assert explores.all()
+        changed = (np.diff(actions, axis=0) != 0).mean()
+        mean_length = (np.arange(1, 51) ** -0.5).sum() / (np.arange(1, 51) ** -1.5).sum()
+        assert changed == pytest.approx(0.75 / mean_length, rel=0.05)  # a quarter of new actions are the old one
+
+    def test_at_full_exploration_every_action_is_equally_frequent(self):
+        actions, _ = self.actions(1.0, 3)
+        np.testing.assert_allclose(np.bincount(actions.ravel(), minlength=4) / actions.size, 0.25, atol=0.01)
+
+    def test_with_a_longest_hold_of_one_steps_are_independent(self):
+        _, explores = self.actions(0.3, 1)
+        assert explores.mean() == pytest.approx(0.3, abs=0.01)
+        assert (explores[1:] & explores[:-1]).mean() == pytest.approx(0.09, abs=0.005)
+
+    def test_each_environment_has_its_own_epsilon(self):
+        _, explores = self.actions(jnp.linspace(0, 1, self.COUNT), 1)
+        np.testing.assert_allclose(explores.mean(0), np.linspace(0, 1, self.COUNT), atol=0.1)
+
+    def test_on_the_host_it_draws_the_same(self):
+        policy = HeldActions(SCORES, 0.4, 10)
+        keys = jax.random.split(jax.random.key(3), 30)
+        (held, actions), _ = policy.ahead(keys, jnp.zeros((7, 4)))
+        on_host = jax.jit(lambda keys: policy.noises(keys, 7))(keys)
+        np.testing.assert_array_equal(np.where(held, actions, -1), np.where(on_host[0], on_host[1], -1))

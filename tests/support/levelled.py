@@ -33,6 +33,13 @@ class LevelledHead(AbstractAdvantageHead):
     def __call__(self, features):
         return self.weight @ features + self.bias
 
+    def times(self, outputs, unit):
+        return unit * outputs
+
+    def best_other(self, value, outputs, action):
+        q = self.each_q(value, outputs)
+        return jax.numpy.where(jax.numpy.arange(q.shape[-1]) == action, -jax.numpy.inf, q).max(-1)
+
     def advantage(self, outputs, action):
         return outputs[..., 0] + outputs[..., 1 + action]
 

@@ -30,6 +30,10 @@ class AbstractPolicy(eqx.Module):
     def noise(self, key: Key, count: int) -> Any:
         """The random numbers of one step of ``count`` environments."""
 
+    def noises(self, keys: Keys, count: int) -> Any:
+        """The noise of many steps in a row, one for each key ``[steps, ...]``."""
+        return jax.vmap(lambda key: self.noise(key, count))(keys)
+
     @abstractmethod
     def choose(self, noise: Any, best: Any, xp: Any) -> Any:
         """Actions ``[n, ...]`` from the noise and the best actions, with jax.numpy or numpy as ``xp``."""
@@ -51,7 +55,7 @@ class AbstractPolicy(eqx.Module):
         def act(noise: Any, obs: Float[Array, "n *obs"]) -> Any:
             return self.choose(noise, jax.vmap(self.network.best)(obs), jnp)
 
-        return _noise_of_steps(self, keys, len(obs)), act
+        return self.noises(keys, len(obs)), act
 
     def on_host(self, keys: Keys, count: int) -> Callable[[], Acting] | None:
         """A function that makes the policy in NumPy; None if the network has no such form. JAX draws the noise now.
@@ -79,11 +83,7 @@ class AbstractPolicy(eqx.Module):
         return act
 
 
-def _noise_of_steps(policy: AbstractPolicy, keys: Keys, count: int) -> Any:
-    return jax.vmap(lambda key: policy.noise(key, count))(keys)
-
-
-_compiled_noise = jax.jit(_noise_of_steps, static_argnames="count")
+_compiled_noise = jax.jit(lambda policy, keys, count: policy.noises(keys, count), static_argnums=2)
 
 
 class Greedy(AbstractPolicy):
@@ -116,6 +116,37 @@ class EpsilonGreedy(AbstractPolicy):
     def choose(self, noise: Any, best: Any, xp: Any) -> Any:
         explore, anything = noise
         return xp.where(explore.reshape(-1, *(1,) * (anything.ndim - 1)), anything, best)
+
+
+class HeldActions(EpsilonGreedy):
+    """Temporally extended ε-greedy: a random action is begun with probability ε, and held for k steps.
+
+    P(k) is proportional to k to the power −1.5, up to the longest hold. So exploration reaches what no sequence of
+    independent random actions does, such as the hill of MountainCar. In a single step it is `EpsilonGreedy`.
+
+    Attributes:
+        longest: the longest hold, in steps.
+    """
+
+    longest: int = eqx.field(static=True)
+
+    def noises(self, keys: Keys, count: int) -> tuple[Bool[Array, "steps n"], Any]:
+        lengths = jnp.arange(1, self.longest + 1)
+        shares = lengths**-1.5 / jnp.sum(lengths**-1.5)
+        noise_keys, hold_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+        begins, actions = super().noises(noise_keys, count)
+        holds = jax.vmap(lambda key: jax.random.choice(key, lengths, (count,), p=shares))(hold_keys)
+
+        def one_step(held: tuple[Any, Any], drawn: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+            left, action = held
+            begin, other, hold = drawn
+            begin = begin & (left == 0)
+            left = jnp.where(begin, hold, left)
+            action = jnp.where(begin.reshape(-1, *(1,) * (other.ndim - 1)), other, action)
+            return (jnp.maximum(left - 1, 0), action), (left > 0, action)
+
+        start = (jnp.zeros(count, lengths.dtype), jax.tree.map(lambda leaf: jnp.zeros_like(leaf[0]), actions))
+        return jax.lax.scan(one_step, start, (begins, actions, holds))[1]
 
 
 class Noisy(AbstractPolicy):

@@ -3,21 +3,26 @@
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int
 
+from upslope.errors import UpslopeError
 from upslope.learners.checks import check_counts, check_shares
+from upslope.learners.policies import AbstractPolicy, EpsilonGreedy, HeldActions
 from upslope.meta_training.posteriors import (
     HeadsPosterior,
     NetworkPosterior,
     TablePosterior,
+    TrajectoryPosterior,
     WeightsPosterior,
 )
+from upslope.meta_training.posteriors.posterior import Explorer
 from upslope.networks.convolution import Precision
 from upslope.networks.torso import Activation
 
-Posterior = NetworkPosterior | TablePosterior | HeadsPosterior | WeightsPosterior
+Posterior = NetworkPosterior | TrajectoryPosterior | TablePosterior | HeadsPosterior | WeightsPosterior
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,10 @@ class MetaTrainingConfig:
         outer_optimiser: Adam, or plain gradient descent as in the paper.
         outer_updates: outer steps per iteration, each on a fresh draw from the same replays.
         epsilon: share of random actions in the first and in the last task (or environment); the rest are spaced evenly.
+        longest_hold: random actions are held for up to so many steps (`HeldActions`); 1 draws each step's anew.
+        random_iterations: in so many iterations at the start all actions are random.
+        kept_iterations: outer steps draw from the replays of so many iterations, the latest; 1 is the paper's.
+        normalise: bring observations and returns to the order of one, by what the random iterations show.
         averaging: decay per iteration of the moving average of θ that is the prior; 0 takes θ itself, as in the paper.
         select_from: the prior is the snapshot with the best greedy return on extra training tasks, among those after
             this share of the training; 1 takes the last one, as in the paper.
@@ -60,6 +69,10 @@ class MetaTrainingConfig:
     outer_optimiser: Literal["adam", "sgd"] = "adam"
     outer_updates: int = 4
     epsilon: tuple[float, float] = (0.05, 0.95)
+    longest_hold: int = 1
+    random_iterations: int = 0
+    kept_iterations: int = 1
+    normalise: bool = False
     averaging: float = 0.97
     select_from: float = 0.2
     snapshot_every: int = 10
@@ -69,7 +82,9 @@ class MetaTrainingConfig:
 
     def __post_init__(self) -> None:
         check_counts(self, "iterations", "tasks", "steps_per_task", "outer_updates", "snapshot_every")
-        check_counts(self, "evaluation_tasks", "evaluation_episodes")
+        check_counts(self, "evaluation_tasks", "evaluation_episodes", "longest_hold", "kept_iterations")
+        if self.normalise and self.random_iterations < 1:
+            raise UpslopeError("normalise measures random steps, and random_iterations is 0: give 1 or more.")
         check_shares(averaging=self.averaging, select_from=self.select_from)
         for share in self.epsilon:
             check_shares(epsilon=share)
@@ -77,6 +92,18 @@ class MetaTrainingConfig:
     def with_posterior(self, **changes: Any) -> "MetaTrainingConfig":
         """The same settings, some of the posterior's changed."""
         return replace(self, posterior=replace(self.posterior, **changes))
+
+    def explorer(self, iteration: Int[Array, ""]) -> Explorer:
+        """How to explore in an iteration, counted from 0."""
+
+        def policy(network: Any, epsilon: Float[Array, "n"]) -> AbstractPolicy:
+            if self.random_iterations:
+                epsilon = jnp.where(iteration < self.random_iterations, 1.0, epsilon)
+            if self.longest_hold == 1:
+                return EpsilonGreedy(network, epsilon)
+            return HeldActions(network, epsilon, self.longest_hold)
+
+        return policy
 
     def optimiser(self) -> optax.GradientTransformation:
         """The outer optimiser, β rising and falling as the settings say."""

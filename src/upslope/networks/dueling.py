@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from upslope.networks.heads import AbstractAdvantageHead, DiscreteHead
 from upslope.networks.mlp import numpy_layer
 from upslope.networks.numpy_acting import affine
+from upslope.networks.scaling import Scaling
 from upslope.networks.torso import AbstractTorso, Activation, Hidden, Scale, Shape
 from upslope.networks.torsos import fresh_torso
 from upslope.types import Action, Key, Observation, Scalar
@@ -51,6 +52,10 @@ class AbstractDueling(eqx.Module):
         """The action of the highest Q(s, ·)."""
         return self.advantage_head.best(*self.heads(obs))
 
+    def best_other(self, obs: Observation, action: Action) -> Scalar:
+        """Max over all actions but this one of Q(s, ·)."""
+        return self.advantage_head.best_other(*self.heads(obs), action)
+
     def __call__(self, obs: Observation) -> Float[Array, "actions"]:
         """Q(s, ·) by Eq. 6, where actions can be listed."""
         return self.advantage_head.each_q(*self.heads(obs))
@@ -61,11 +66,16 @@ class AbstractDueling(eqx.Module):
 
 
 class DuelingQ(AbstractDueling):
-    """V head and A head on one torso, which depends on the shape of the observations."""
+    """V head and A head on one torso, which depends on the shape of the observations.
+
+    Attributes:
+        scaling: normalises observations, and brings the outputs to units of the raw return; None for neither.
+    """
 
     torso: AbstractTorso
     value_head: eqx.nn.Linear
     advantage_head: AbstractAdvantageHead
+    scaling: Scaling | None
 
     def __init__(
         self,
@@ -76,6 +86,7 @@ class DuelingQ(AbstractDueling):
         scale: Scale | None = None,
         activation: Activation = "relu",
         head: type[AbstractAdvantageHead] = DiscreteHead,
+        scaling: Scaling | None = None,
     ):
         """A network with random weights.
 
@@ -87,24 +98,40 @@ class DuelingQ(AbstractDueling):
             scale: factors by which observations are multiplied.
             activation: of the hidden layers.
             head: the class of the A head.
+            scaling: see the class.
         """
         torso_key, value_key, advantage_key = jax.random.split(key, 3)
         self.torso = fresh_torso(torso_key, inputs, hidden, scale, activation)
         self.value_head = eqx.nn.Linear(hidden[-1], 1, key=value_key)
         self.advantage_head = head.fresh(advantage_key, hidden[-1], actions)
+        self.scaling = scaling
 
     def heads(self, obs: Observation) -> tuple[Scalar, Float[Array, "units"]]:
-        return self.heads_on(self.torso(obs))
+        return self.heads_on(self.features(obs))
+
+    def features(self, obs: Observation) -> Float[Array, "features"]:
+        """The features of s."""
+        return self.torso(obs if self.scaling is None else self.scaling.normalise(obs))
 
     def heads_on(self, features: Float[Array, "features"]) -> tuple[Scalar, Float[Array, "units"]]:
         """V(s) and the outputs of the A head, given the features of s."""
-        return self.value_head(features)[0], self.advantage_head(features)
+        value, outputs = self.value_head(features)[0], self.advantage_head(features)
+        if self.scaling is None:
+            return value, outputs
+        return self.scaling.value(value), self.advantage_head.times(outputs, self.scaling.return_unit)
+
+    def with_scaling(self, scaling: Scaling | None) -> "DuelingQ":
+        """The same weights with another scaling."""
+        return eqx.tree_at(lambda network: network.scaling, self, scaling, is_leaf=lambda node: node is None)
 
     def numpy_best(self) -> Callable[[np.ndarray], np.ndarray]:
         """`best` as a NumPy function of a batch ``[n, *obs]``. V is not needed: it does not change the best action."""
         features, weights = self.torso.numpy_features(), affine(numpy_layer(self.advantage_head))
         best, no_value = self.advantage_head.best, np.zeros(1, np.float32)
-        return lambda obs: best(no_value, np.dot(weights, features(obs)).T)
+        if self.scaling is None:
+            return lambda obs: best(no_value, np.dot(weights, features(obs)).T)
+        mean, deviation = self.scaling.numpy()
+        return lambda obs: best(no_value, np.dot(weights, features((obs - mean) / deviation)).T)
 
 
 class DuelingTable(AbstractDueling):

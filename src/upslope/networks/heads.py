@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from upslope.equations.losses import dueling_q
@@ -46,6 +47,10 @@ class AbstractAdvantageHead(eqx.Module):
         """The outputs for one state's features."""
 
     @abstractmethod
+    def times(self, outputs: Any, unit: Any) -> Any:
+        """The outputs for which A(s, a) is ``unit`` times as large, for each a."""
+
+    @abstractmethod
     def advantage(self, outputs: Any, action: Action) -> Any:
         """A(s, a), raw: Eq. 6 does not pin down its level."""
 
@@ -60,6 +65,10 @@ class AbstractAdvantageHead(eqx.Module):
     @abstractmethod
     def best(self, value: Any, outputs: Any) -> Any:
         """The action of the highest Q(s, ·), given V(s)."""
+
+    @abstractmethod
+    def best_other(self, value: Any, outputs: Any, action: Action) -> Any:
+        """Max over all actions but this one of Q(s, ·), given V(s); V(s) itself where actions can't be listed."""
 
     @abstractmethod
     def each_q(self, value: Any, outputs: Any) -> Any:
@@ -91,6 +100,9 @@ class DiscreteHead(AbstractAdvantageHead):
     def __call__(self, features: Float[Array, "features"]) -> Float[Array, "actions"]:
         return self.weight @ features + self.bias
 
+    def times(self, outputs: Any, unit: Any) -> Any:
+        return unit * outputs
+
     def advantage(self, outputs: Any, action: Int[Array, ""] | int) -> Any:
         return outputs[..., action]
 
@@ -102,6 +114,10 @@ class DiscreteHead(AbstractAdvantageHead):
 
     def best(self, value: Any, outputs: Any) -> Any:
         return self.each_q(value, outputs).argmax(-1)
+
+    def best_other(self, value: Any, outputs: Any, action: Int[Array, ""] | int) -> Any:
+        q = self.each_q(value, outputs)
+        return jnp.where(jnp.arange(q.shape[-1]) == action, -jnp.inf, q).max(-1)
 
     def each_q(self, value: Any, outputs: Any) -> Any:
         return dueling_q(value[..., None], outputs, outputs.max(-1, keepdims=True))

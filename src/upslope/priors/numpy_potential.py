@@ -40,19 +40,28 @@ class NumpyPotential:
 
     def __call__(self, obs: Shaped[np.ndarray, "*obs"]) -> float:
         """Φ of one observation."""
-        return float(self._head.dot(self._torso.one(obs))) + self._head_bias
+        return float(self._head.dot(self._torso.one(self._normalise(obs)))) + self._head_bias
 
     def values(self, obs: Shaped[np.ndarray, "n *obs"]) -> Float[np.ndarray, "n"]:
         """Φ of a batch of observations."""
-        return self._torso.batch(obs) @ self._head + self._head_bias
+        return self._torso.batch(self._normalise(obs)) @ self._head + self._head_bias
 
     def _prepare(self) -> None:
         """Converts the parameters to double precision."""
         about, tensors = self.trained_on, self._tensors
         torso = numpy_torso_for(about.observation_shape)
         self._torso = torso(tensors, about.hidden, about.observation_scale, about.activation)
-        self._head = tensors["value_head.weight"][0].astype(np.float64)
-        self._head_bias = float(tensors["value_head.bias"][0])
+        unit = float(tensors["scaling.unit"]) if about.scaled else 1.0
+        self._head = unit * tensors["value_head.weight"][0].astype(np.float64)
+        self._head_bias = unit * float(tensors["value_head.bias"][0])
+        if about.scaled:
+            self._head_bias += float(tensors["scaling.level"])
+            self._mean, self._deviation = (
+                tensors[f"scaling.{name}"].astype(np.float64) for name in ("mean", "deviation")
+            )
+
+    def _normalise(self, obs: np.ndarray) -> np.ndarray:
+        return (obs - self._mean) / self._deviation if self.trained_on.scaled else obs
 
     def __getstate__(self) -> dict:
         return {"trained_on": self.trained_on, "_tensors": self._tensors}

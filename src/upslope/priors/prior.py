@@ -18,6 +18,7 @@ from upslope.learners.agent import act, is_batch
 from upslope.learners.curve import LearningCurve
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.heads import HEADS
+from upslope.networks.scaling import no_scaling
 from upslope.networks.tensors import from_tensors, to_tensors
 from upslope.priors.numpy_potential import NumpyPotential
 from upslope.priors.prior_file import TrainedOn, read_prior_file, write_prior_file
@@ -147,7 +148,8 @@ def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: d
         family=family.name,
         gamma=family.gamma,
         observation_shape=family.observation_shape,
-        observation_scale=family.observation_scale,
+        observation_scale=network.torso.scale,
+        scaled=network.scaling is not None,
         actions=family.actions.count,
         hidden=network.torso.hidden,
         head=network.advantage_head.name,
@@ -175,4 +177,5 @@ def _skeleton(trained_on: TrainedOn) -> DuelingQ:
         trained_on.observation_scale,
         trained_on.activation,
         HEADS[trained_on.head],
+        no_scaling(trained_on.observation_shape[-1]) if trained_on.scaled else None,
     )

@@ -12,7 +12,7 @@ from upslope.errors import DamagedFileError, NotSavedError, UpslopeError
 from upslope.networks.numpy_torsos import NUMPY_TORSOS, numpy_torso_for
 
 FORMAT = "upslope-prior"
-#: Format 2 names the advantage head; files of format 1 have the discrete one.
+#: Format 2 names the advantage head and can hold a scaling; files of format 1 have the discrete head and no scaling.
 FORMAT_VERSION = 2
 READABLE_VERSIONS = (1, 2)
 ACTIVATIONS = ("relu", "tanh")
@@ -34,6 +34,7 @@ class TrainedOn:
         settings: the settings of the meta-training, and the measurements at its end.
         version: the version of upslope.
         head: the name of the advantage head.
+        scaled: whether the file has the tensors of a `Scaling`.
     """
 
     family: str
@@ -47,6 +48,7 @@ class TrainedOn:
     settings: dict[str, Any] = field(default_factory=dict)
     version: str = ""
     head: str = "discrete"
+    scaled: bool = False
 
 
 def write_prior_file(
@@ -127,4 +129,8 @@ def potential_shapes(trained_on: TrainedOn) -> dict[str, tuple[int, ...]]:
     """The names and shapes of the tensors of Φ: those of the torso and the V head."""
     torso = numpy_torso_for(trained_on.observation_shape)
     head = {"value_head.weight": (1, trained_on.hidden[-1]), "value_head.bias": (1,)}
-    return torso.tensor_shapes(trained_on.observation_shape, trained_on.hidden) | head
+    shapes = torso.tensor_shapes(trained_on.observation_shape, trained_on.hidden) | head
+    if not trained_on.scaled:
+        return shapes
+    inputs = trained_on.observation_shape[-1]
+    return shapes | {"scaling.mean": (inputs,), "scaling.deviation": (inputs,), "scaling.unit": (), "scaling.level": ()}

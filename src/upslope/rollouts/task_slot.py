@@ -4,6 +4,7 @@ Runs in simulator processes, and needs no JAX.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -19,6 +20,37 @@ MOST_PIXELS = 64 * 64
 _MOST_CHANNELS = 4
 
 
+@dataclass(frozen=True)
+class EnvironmentFactory:
+    """Makes environments, and gives them new tasks where that is possible.
+
+    Attributes:
+        make_env: ``make_env(task) -> gymnasium.Env``.
+        give_task: ``give_task(env, task)`` gives a new task to an environment that ``make_env`` returned, before its
+            next reset. None makes a new environment for every task.
+    """
+
+    make_env: Callable[[Any], gym.Env]
+    give_task: Callable[[gym.Env, Any], None] | None = None
+
+    def set_task(self, env: gym.Env, task: Any) -> bool:
+        """Gives a task to an environment; False if it needs a new one.
+
+        Raises:
+            UpslopeError: the user's function fails.
+        """
+        if self.give_task is None:
+            return False
+        try:
+            self.give_task(env, task)
+        except Exception as error:
+            raise UpslopeError(
+                f"set_task failed for the task {task!r} ({type(error).__name__}: {error}): it must give any task to "
+                "any environment that make_env returned."
+            ) from error
+        return True
+
+
 class TaskSlot(gym.Env):
     """Runs the environment of its task; a new task takes effect at the next reset.
 
@@ -26,11 +58,12 @@ class TaskSlot(gym.Env):
         task: the argument of the factory.
     """
 
-    def __init__(self, make_env: Callable[[Any], gym.Env], observation_space: gym.Space, action_space: gym.Space):
+    def __init__(self, factory: EnvironmentFactory, observation_space: gym.Space, action_space: gym.Space):
         """Takes the factory, and the spaces that its environments must have after `fit_spaces`."""
         self.observation_space, self.action_space = observation_space, action_space
-        self._make_env = make_env
+        self._factory = factory
         self._task: Any = None
+        self._own: gym.Env | None = None
         self._env: gym.Env | None = None
 
     @property
@@ -39,7 +72,8 @@ class TaskSlot(gym.Env):
 
     @task.setter
     def task(self, task: Any) -> None:
-        self.close()
+        if self._own is None or not self._factory.set_task(self._own, task):
+            self.close()
         self._task = task
 
     def reset(
@@ -51,7 +85,8 @@ class TaskSlot(gym.Env):
             UpslopeError: the factory fails, or its environment has other spaces than earlier ones.
         """
         if self._env is None:
-            self._env = make_environment(self._make_env, self._task)
+            self._own = make_environment(self._factory.make_env, self._task)
+            self._env = fit_spaces(self._own)
             theirs = (self._env.observation_space.shape, self._env.action_space)
             if theirs != (self.observation_space.shape, self.action_space):
                 raise UpslopeError(
@@ -71,7 +106,7 @@ class TaskSlot(gym.Env):
     def close(self) -> None:
         if self._env is not None:
             self._env.close()
-            self._env = None
+            self._own = self._env = None
 
     def _checked(self, obs: Any) -> np.ndarray:
         if np.shape(obs) != self.observation_space.shape:
@@ -83,10 +118,10 @@ class TaskSlot(gym.Env):
 
 
 def make_environment(make_env: Callable[[Any], gym.Env], task: Any) -> gym.Env:
-    """The environment of a task, with spaces from `fit_spaces`.
+    """The environment of a task.
 
     Raises:
-        UpslopeError: the factory fails or returns no environment, or a space is not supported.
+        UpslopeError: the factory fails or returns no environment.
     """
     try:
         env = make_env(task)
@@ -97,7 +132,7 @@ def make_environment(make_env: Callable[[Any], gym.Env], task: Any) -> gym.Env:
         ) from error
     if not isinstance(env, gym.Env):
         raise UpslopeError(f"make_env returned {type(env).__name__}: return a gymnasium.Env.")
-    return fit_spaces(env)
+    return env
 
 
 def fit_spaces(env: gym.Env) -> gym.Env:

@@ -9,22 +9,20 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 from upslope.rollouts.rollouts import AbstractRollouts, Act, Trajectories
-from upslope.rollouts.task_slot import TaskSlot
+from upslope.rollouts.task_slot import EnvironmentFactory, TaskSlot
 from upslope.rollouts.workers import call_or_end, call_workers, close_or_end
 
 Slots = list[Callable[[], gym.Env]]
 
 
-def in_process(make_env: Callable[[Any], gym.Env], observations: gym.Space, actions: gym.Space) -> AbstractRollouts:
+def in_process(factory: EnvironmentFactory, observations: gym.Space, actions: gym.Space) -> AbstractRollouts:
     """Rollouts in this process, one environment after the other."""
-    return VectorRollouts(_sync, make_env, observations, actions)
+    return VectorRollouts(_sync, factory, observations, actions)
 
 
-def process_for_each(
-    make_env: Callable[[Any], gym.Env], observations: gym.Space, actions: gym.Space
-) -> AbstractRollouts:
+def process_for_each(factory: EnvironmentFactory, observations: gym.Space, actions: gym.Space) -> AbstractRollouts:
     """Rollouts with one process for each environment; the policy acts in this one."""
-    return VectorRollouts(_async, make_env, observations, actions)
+    return VectorRollouts(_async, factory, observations, actions)
 
 
 def _sync(slots: Slots) -> gym.vector.VectorEnv:
@@ -41,7 +39,7 @@ class VectorRollouts(AbstractRollouts):
 
     Args:
         make_vector: makes a vector environment from factories of its environments.
-        make_env: makes the environment of a task.
+        factory: makes the environments of tasks.
         observations: the space that all environments share after `task_slot.fit_spaces`.
         actions: likewise.
     """
@@ -49,12 +47,12 @@ class VectorRollouts(AbstractRollouts):
     def __init__(
         self,
         make_vector: Callable[[Slots], gym.vector.VectorEnv],
-        make_env: Callable[[Any], gym.Env],
+        factory: EnvironmentFactory,
         observations: gym.Space,
         actions: gym.Space,
     ):
         self._make_vector = make_vector
-        self._slot = lambda: TaskSlot(make_env, observations, actions)
+        self._slot = lambda: TaskSlot(factory, observations, actions)
         self._action_shape = actions.shape or ()
         self._action_dtype = np.float32 if np.issubdtype(actions.dtype, np.floating) else np.int32
         self._groups: dict[int, _Episodes] = {}

@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from upslope.errors import UpslopeError
-from upslope.rollouts import ROLLOUTS, AbstractRollouts, Trajectories
-from upslope.rollouts.task_slot import make_environment
+from upslope.rollouts import ROLLOUTS, AbstractRollouts, EnvironmentFactory, Trajectories
+from upslope.rollouts.task_slot import fit_spaces, make_environment
 from upslope.tasks.abstract_evaluation import under_abstract_evaluation
 from upslope.tasks.actions import Actions, ContinuousActions, DiscreteActions
 from upslope.tasks.family import AbstractFamily, Network, as_key, recipe_of
 from upslope.tasks.host_policy import host_policy, reset_and_act_keys, seed_of
 from upslope.tasks.observation_scale import scale_of
-from upslope.tasks.task_protocol import sampler_and_factory
+from upslope.tasks.task_protocol import task_functions
 from upslope.types import Key, Policy, Task, Transition
 
 
@@ -65,6 +65,7 @@ class GymnasiumTasks(AbstractFamily):
         name: str | None = None,
         observation_scale: Sequence[float] | None = None,
         max_steps: int | None = None,
+        set_task: Callable[[gym.Env, Any], None] | None = None,
         mode: str = "sync",
     ):
         """Makes the family, and one environment to read its spaces.
@@ -77,6 +78,9 @@ class GymnasiumTasks(AbstractFamily):
             observation_scale: factors that scale observations to the order of one; by default from the bounds of the
                 space if they are finite and small. For images, one for each channel.
             max_steps: the length of the longest episode; the environment's own limit by default.
+            set_task: ``set_task(env, task)`` gives a new task to an environment that ``make_env`` returned, before its
+                next reset. Without it every task needs a new environment, which for many simulators takes longer than
+                an episode.
             mode: a name in `upslope.rollouts.ROLLOUTS`: "sync" runs the environments in this process, "async" runs each
                 in its own process (a script then needs ``if __name__ == "__main__":``).
 
@@ -89,7 +93,7 @@ class GymnasiumTasks(AbstractFamily):
         if mode not in ROLLOUTS:
             raise UpslopeError(f"mode is {mode!r}: give {' or '.join(map(repr, ROLLOUTS))}.")
         self.sample_task, self.gamma = sample, float(gamma)
-        env = make_environment(make_env, _draw(sample, np.zeros(2, np.uint32)))
+        env = fit_spaces(make_environment(make_env, _draw(sample, np.zeros(2, np.uint32))))
         space: Any = env.observation_space
         actions: Any = env.action_space
         self.name = name or (env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
@@ -100,7 +104,7 @@ class GymnasiumTasks(AbstractFamily):
         self.max_steps = _limit(env, max_steps)
         env.close()
         float32 = gym.spaces.Box(-np.inf, np.inf, self.observation_shape, np.float32)
-        self.rollouts = ROLLOUTS[mode](make_env, float32, actions)
+        self.rollouts = ROLLOUTS[mode](EnvironmentFactory(make_env, set_task), float32, actions)
 
     @classmethod
     def from_protocol(cls, make_env: Callable[[], Any], gamma: float, **settings: Any) -> "GymnasiumTasks":
@@ -114,7 +118,8 @@ class GymnasiumTasks(AbstractFamily):
         Raises:
             UpslopeError: the environment lacks these methods, or draws different tasks for the same seed.
         """
-        return cls(*sampler_and_factory(make_env), gamma, **settings)
+        sample, make, set_task = task_functions(make_env)
+        return cls(sample, make, gamma, set_task=set_task, **settings)
 
     @property
     def lists_states(self) -> bool:

@@ -9,10 +9,12 @@ import numpy as np
 from upslope.errors import UpslopeError
 
 
-def sampler_and_factory(
+def task_functions(
     make_env: Callable[[], Any],
-) -> tuple[Callable[[np.random.Generator], Any], Callable[[Any], gym.Env]]:
-    """A sampler of tasks and a factory, from environments with ``sample_tasks(n)`` and ``set_task(task)``.
+) -> tuple[Callable[[np.random.Generator], Any], Callable[[Any], gym.Env], Callable[[gym.Env, Any], None]]:
+    """A sampler of tasks, a factory, and what gives an environment a new task.
+
+    The environments have ``sample_tasks(n)`` and ``set_task(task)``.
 
     ``reset_task`` works instead of ``set_task``.
 
@@ -39,8 +41,11 @@ def sampler_and_factory(
 
     def make(task: Any) -> gym.Env:
         env = make_env()
-        getattr(env.unwrapped, setter)(task)
+        set_task(env, task)
         return env
+
+    def set_task(env: gym.Env, task: Any) -> None:
+        getattr(env.unwrapped, setter)(task)
 
     pair = [repr(sample(np.random.default_rng(0))) for _ in range(2)]
     if pair[0] != pair[1]:
@@ -48,4 +53,4 @@ def sampler_and_factory(
             f"sample_tasks gave {pair[0]} and then {pair[1]} for the same seed: draw tasks with the environment's "
             "np_random or with numpy.random."
         )
-    return sample, make
+    return sample, make, set_task

@@ -156,7 +156,7 @@ def examine(
 
     def of_one(pair: tuple[Truth, Task]) -> tuple[Measures, Float[Array, ""], Float[Array, "states units"]]:
         exact, task = pair
-        features = jax.vmap(network.torso)(family.env.observe_all(task))
+        features = jax.vmap(network.features)(family.env.observe_all(task))
         value, advantage = jax.vmap(network.heads_on)(features)
         q = network.advantage_head.each_q(value, advantage)
         return measure(exact, value, q, family.max_steps), td_residual(exact, value, q), features

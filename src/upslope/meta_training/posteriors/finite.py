@@ -16,8 +16,8 @@ from jaxtyping import Array, Float, Int
 from upslope.equations.losses import prior_learning_loss, td_loss
 from upslope.errors import UpslopeError
 from upslope.learners.checks import check_counts
-from upslope.learners.policies import EpsilonGreedy
-from upslope.meta_training.posteriors.posterior import AbstractPosterior, repeat_tasks, spaced
+from upslope.learners.policies import AbstractPolicy
+from upslope.meta_training.posteriors.posterior import AbstractPosterior, Explorer, repeat_tasks, spaced
 from upslope.networks.dueling import DuelingQ
 from upslope.tasks.family import AbstractFamily
 from upslope.types import Action, Key, Metrics, Policy, Scalar, Task, Transition
@@ -65,7 +65,7 @@ class TablePolicy(eqx.Module):
 
     states: Any = eqx.field(static=True)
     best: Int[Array, "n states"]
-    explorer: EpsilonGreedy
+    explorer: AbstractPolicy
 
     def __call__(self, key: Key, obs: Float[Array, "n *obs"]) -> Action:
         count = obs.shape[0]
@@ -106,12 +106,14 @@ class AbstractFinitePosterior(AbstractPosterior):
                 "can't: use NetworkPosterior()."
             )
 
-    def policy(self, theta: DuelingQ, family: AbstractFamily, tasks: Task, epsilon: tuple[float, float]) -> Policy:
+    def policy(
+        self, theta: DuelingQ, family: AbstractFamily, tasks: Task, epsilon: tuple[float, float], explorer: Explorer
+    ) -> Policy:
         observations = jax.vmap(family.states.observe_all)(tasks)
         flat = observations.reshape(-1, *observations.shape[2:])
         best = jax.vmap(theta.best)(flat).reshape(observations.shape[:2])
         each = jnp.tile(spaced(epsilon, self.environments), len(observations))
-        return TablePolicy(family.states, repeat_tasks(best, self.environments), EpsilonGreedy(theta, each))
+        return TablePolicy(family.states, repeat_tasks(best, self.environments), explorer(theta, each))
 
     def replays(self, family: AbstractFamily, tasks: Task, transitions: Transition) -> FiniteSamples:
         observations = jax.vmap(family.states.observe_all)(tasks)

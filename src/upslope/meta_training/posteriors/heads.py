@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+import equinox as eqx
 import jax
 
 from upslope.equations.maml import adapt
@@ -41,11 +42,11 @@ class HeadsPosterior(AbstractFinitePosterior):
     def adapt(self, theta: DuelingQ, samples: FiniteSamples) -> QTable:
         """Q_φ of a task in every state."""
         theta = jax.lax.stop_gradient(theta)
-        features = jax.vmap(theta.torso)(samples.observations)
+        features = jax.vmap(theta.features)(samples.observations)
 
         def q(heads: tuple[Any, Any]) -> QTable:
-            value_head, head = heads
-            return head.each_q(jax.vmap(value_head)(features)[:, 0], jax.vmap(head)(features))
+            network = eqx.tree_at(lambda network: (network.value_head, network.advantage_head), theta, heads)
+            return heads[1].each_q(*jax.vmap(network.heads_on)(features))
 
         def loss(heads: tuple[Any, Any], samples: FiniteSamples) -> Any:
             return mean_td_loss(q(heads), samples.steps)

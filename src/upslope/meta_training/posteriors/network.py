@@ -13,9 +13,8 @@ from upslope.equations.losses import prior_learning_loss, td_loss
 from upslope.equations.maml import adapt
 from upslope.learners.checks import check_counts, check_shares
 from upslope.learners.learner import vital_signs
-from upslope.learners.policies import EpsilonGreedy
 from upslope.learners.replay import Replay
-from upslope.meta_training.posteriors.posterior import AbstractPosterior, Name, spaced
+from upslope.meta_training.posteriors.posterior import AbstractPosterior, Explorer, Name, spaced
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.torso import AbstractTorso
 from upslope.tasks.family import AbstractFamily
@@ -76,9 +75,11 @@ class NetworkPosterior(AbstractPosterior):
     def in_sequence(self, torso: type[AbstractTorso]) -> bool:
         return torso.takes_turns if self.task_by_task is None else self.task_by_task
 
-    def policy(self, theta: DuelingQ, family: AbstractFamily, tasks: Task, epsilon: tuple[float, float]) -> Policy:
+    def policy(
+        self, theta: DuelingQ, family: AbstractFamily, tasks: Task, epsilon: tuple[float, float], explorer: Explorer
+    ) -> Policy:
         del family
-        return EpsilonGreedy(theta, spaced(epsilon, len(jax.tree.leaves(tasks)[0])))
+        return explorer(theta, spaced(epsilon, len(jax.tree.leaves(tasks)[0])))
 
     def replays(self, family: AbstractFamily, tasks: Task, transitions: Transition) -> Transition:
         del family, tasks

@@ -1,6 +1,7 @@
 """What Algorithm 1 asks of a task-posterior: how it draws from a replay, adapts to it, and how far it is from θ."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from tyro.conf import Fixed, Suppress
 
+from upslope.learners.policies import AbstractPolicy
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.torso import AbstractTorso
 from upslope.tasks.family import AbstractFamily
@@ -17,6 +19,9 @@ from upslope.types import Keys, Metrics, Policy, Scalar, Task, Transition
 #: D_i of every task, and what one outer step draws from them: PyTrees ``[tasks, ...]`` of the posterior's own making.
 Replays = Any
 Samples = Any
+
+#: Makes a policy that explores around a network's best actions, from ε of each environment.
+Explorer = Callable[[Any, Float[Array, "n"]], AbstractPolicy]
 
 #: A name that belongs to the class: files hold it, and the command line does not show it as an option.
 Name = Suppress[Fixed[str]]
@@ -50,8 +55,18 @@ class AbstractPosterior(ABC):
         """Whether tasks are adapted to one after the other, not side by side, for networks with such a torso."""
 
     @abstractmethod
-    def policy(self, theta: DuelingQ, family: AbstractFamily, tasks: Task, epsilon: tuple[float, float]) -> Policy:
-        """Acts ε-greedily by Q_θ in all environments of all tasks; ε runs from the first number to the second."""
+    def policy(
+        self, theta: DuelingQ, family: AbstractFamily, tasks: Task, epsilon: tuple[float, float], explorer: Explorer
+    ) -> Policy:
+        """Acts ε-greedily by Q_θ in all environments of all tasks.
+
+        Args:
+            theta: θ.
+            family: of the tasks.
+            tasks: ``[tasks, ...]``.
+            epsilon: ε runs from the first number to the second.
+            explorer: explores around the best actions.
+        """
 
     @abstractmethod
     def replays(self, family: AbstractFamily, tasks: Task, transitions: Transition) -> Replays:
@@ -78,6 +93,11 @@ class AbstractPosterior(ABC):
     @abstractmethod
     def distance(self, theta: DuelingQ, phi: Any, samples: Samples) -> Scalar:
         """Eq. 7: how far Q_θ is from Q_φ, for one task."""
+
+    def moved_target(self, theta: DuelingQ, target: DuelingQ) -> DuelingQ:
+        """The network of the inner TD target after an outer step that ended at θ; it need not move before the last."""
+        del theta
+        return target
 
     @abstractmethod
     def next_target(self, theta: DuelingQ, target: DuelingQ) -> DuelingQ:
