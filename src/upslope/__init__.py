@@ -14,10 +14,13 @@ if TYPE_CHECKING:
     from upslope.adaptation.controls import FrozenPotential as FrozenPotential
     from upslope.adaptation.fine_tuning import FineTuning as FineTuning
     from upslope.api import adapt as adapt
+    from upslope.api import evaluate as evaluate
     from upslope.api import meta_train as meta_train
     from upslope.api import train as train
     from upslope.checking import check_shaping as check_shaping
+    from upslope.errors import PriorWarning as PriorWarning
     from upslope.errors import UpslopeError as UpslopeError
+    from upslope.evaluation.verdict import Verdict as Verdict
     from upslope.learners import AbstractLearnerConfig as AbstractLearnerConfig
     from upslope.learners import DDPGConfig as DDPGConfig
     from upslope.learners import DQNConfig as DQNConfig
@@ -27,7 +30,9 @@ if TYPE_CHECKING:
     from upslope.meta_training.posteriors import HeadsPosterior as HeadsPosterior
     from upslope.meta_training.posteriors import NetworkPosterior as NetworkPosterior
     from upslope.meta_training.posteriors import TablePosterior as TablePosterior
+    from upslope.meta_training.posteriors import TrajectoryPosterior as TrajectoryPosterior
     from upslope.meta_training.posteriors import WeightsPosterior as WeightsPosterior
+    from upslope.meta_training.recipes import recipe_for as recipe_for
     from upslope.priors.numpy_potential import NumpyPotential as NumpyPotential
     from upslope.priors.pretrained import load_prior as load_prior
     from upslope.priors.pretrained import prior_path as prior_path
@@ -55,9 +60,10 @@ _NAMES = {
     "upslope.adaptation.algorithm2": ("AdaptationConfig", "Algorithm2", "UpdateRule"),
     "upslope.adaptation.controls": ("CentredTD", "FrozenPotential"),
     "upslope.adaptation.fine_tuning": ("FineTuning",),
-    "upslope.api": ("adapt", "meta_train", "train"),
+    "upslope.api": ("adapt", "evaluate", "meta_train", "train"),
     "upslope.checking": ("check_shaping",),
-    "upslope.errors": ("UpslopeError",),
+    "upslope.errors": ("PriorWarning", "UpslopeError"),
+    "upslope.evaluation.verdict": ("Verdict",),
     "upslope.learners": ("AbstractLearnerConfig", "DDPGConfig", "DQNConfig"),
     "upslope.learners.agent": ("Agent",),
     "upslope.learners.curve": ("LearningCurve",),
@@ -66,8 +72,10 @@ _NAMES = {
         "HeadsPosterior",
         "NetworkPosterior",
         "TablePosterior",
+        "TrajectoryPosterior",
         "WeightsPosterior",
     ),
+    "upslope.meta_training.recipes": ("recipe_for",),
     "upslope.priors.numpy_potential": ("NumpyPotential",),
     "upslope.priors.pretrained": ("load_prior", "prior_path"),
     "upslope.priors.prior": ("Prior",),

@@ -1,6 +1,7 @@
-"""The verbs: meta-train a prior, adapt it to a task, train an agent with or without shaping."""
+"""The verbs: meta-train a prior, evaluate it, adapt it to a task, train an agent with or without shaping."""
 
 import math
+import warnings
 from dataclasses import asdict
 from typing import Any
 
@@ -9,7 +10,10 @@ import jax.numpy as jnp
 
 from upslope.adaptation import rules
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, Algorithm2, UpdateRule
-from upslope.errors import UpslopeError
+from upslope.errors import PriorWarning, UpslopeError
+from upslope.evaluation.learner_test import compare_learners
+from upslope.evaluation.signs import signs
+from upslope.evaluation.verdict import Verdict
 from upslope.learners import AbstractLearnerConfig
 from upslope.learners import suited_to as learner_suited_to
 from upslope.learners.agent import Agent, record
@@ -17,7 +21,7 @@ from upslope.learners.curve import LearningCurve
 from upslope.learners.learner import AbstractLearner
 from upslope.meta_training.algorithm1 import MetaTraining
 from upslope.meta_training.config import MetaTrainingConfig
-from upslope.meta_training.recipes import suited_to
+from upslope.meta_training.recipes import recipe_for
 from upslope.priors.prior import Prior, trained_on
 from upslope.priors.shaping_by import shaping_by
 from upslope.results import AdaptationResult, TrainingResult
@@ -25,7 +29,7 @@ from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session, with_progress
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Potential, Task
+from upslope.types import Key, Potential, Task
 
 
 def meta_train(
@@ -49,15 +53,89 @@ def meta_train(
     Returns:
         The prior, with its learning curve in ``prior.curve``.
 
+    Warns:
+        PriorWarning: the prior shows signs of trouble on fresh training tasks: its policy is no better than random
+            actions on all or some of them, or its potential is flat.
+
     Raises:
         UpslopeError: an argument has the wrong type, or training diverges.
     """
     _check_type("meta_train", "family", family, AbstractFamily)
-    config = suited_to(family) if config is None else config
+    config = recipe_for(family) if config is None else config
     _check_type("meta_train", "config", config, MetaTrainingConfig)
     learner = MetaTraining(family, config)
     outcome = _run_one(learner, seed, config.iterations, config.snapshot_every, "meta-training", session, progress)
-    return best_prior(family, outcome, config, 0, seed)
+    prior = best_prior(family, outcome, config, 0, seed)
+    for sentence in signs(family, prior.network, *_fresh_tasks(family, config.evaluation_tasks, seed)).warnings():
+        warnings.warn(sentence, PriorWarning, stacklevel=2)
+    return prior
+
+
+def _fresh_tasks(family: AbstractFamily, count: int, seed: int) -> tuple[Task, Key]:
+    """Stacked tasks ``[count, ...]`` that no training has drawn, and a key to evaluate with."""
+    task_key, key = jax.random.split(jax.random.fold_in(jax.random.key(seed), _FRESH))
+    return family.sample_many(task_key, count), key
+
+
+#: Tells the keys of fresh tasks from those of training.
+_FRESH = 0x5EED
+
+
+def evaluate(
+    prior: Prior,
+    family: AbstractFamily,
+    *,
+    tasks: int = 20,
+    learners: int = 10,
+    updates: int = 2000,
+    seed: int = 0,
+    config: AbstractLearnerConfig | None = None,
+    session: Session | None = None,
+    progress: bool | None = None,
+) -> Verdict:
+    """A verdict on a prior: what its policy and its potential do on fresh tasks, and whether learners gain by it.
+
+    Args:
+        prior: θ.
+        family: the family of the fresh tasks.
+        tasks: the number of tasks on which policy and potential are measured.
+        learners: the number of tasks on which learners are trained: unshaped, with a constant potential, and shaped.
+            0 trains none, and the verdict is less certain.
+        updates: of each learner.
+        seed: the seed of tasks, experience and learners.
+        config: the settings of the learners; by default those that suit the family and the number of updates.
+        session: observers and checkpoints.
+        progress: whether to show a progress bar; by default in a terminal or a notebook, unless the session has
+            observers.
+
+    Raises:
+        UpslopeError: the prior is from another family, or has another γ, observation shape or number of actions; or the
+            arguments have the wrong types or order.
+    """
+    _check_type("evaluate", "prior", prior, Prior)
+    _check_type("evaluate", "family", family, AbstractFamily)
+    prior.check(family, acting=True)
+    if tasks < 1 or learners < 0 or updates < 1:
+        raise UpslopeError(
+            f"{tasks} tasks, {learners} learners and {updates} updates can't be run: give positive ones."
+        )
+    drawn, key = _fresh_tasks(family, max(tasks, learners), seed)
+    signs_key, learner_key = jax.random.split(key)
+    found = signs(family, prior.network, jax.tree.map(lambda leaf: leaf[:tasks], drawn), signs_key)
+    if learners == 0:
+        return Verdict(family.name, found, None)
+    test = compare_learners(
+        family,
+        prior.network,
+        found.level,
+        jax.tree.map(lambda leaf: leaf[:learners], drawn),
+        learner_key,
+        learner_suited_to(family).lasting(updates) if config is None else config,
+        updates=updates,
+        every=max(updates // 10, 1),
+        session=with_progress(session, progress),
+    )
+    return Verdict(family.name, found, test)
 
 
 def best_prior(family: AbstractFamily, outcome: Outcome, config: MetaTrainingConfig, index: int, seed: int) -> Prior:
@@ -99,7 +177,8 @@ def train(
         updates: the number of gradient updates.
         every: the number of updates between reports of the raw greedy return.
         seed: the seed of the agent and its experience.
-        config: the settings of the learner, which also choose the learner; by default those that suit the family.
+        config: the settings of the learner, which also choose the learner; by default those that suit the family and
+            the number of updates.
         session: observers and checkpoints.
         progress: whether to show a progress bar; by default in a terminal or a notebook, unless the session has
             observers.
@@ -109,7 +188,7 @@ def train(
             learner is for another kind of action.
     """
     _check_type("train", "family", family, AbstractFamily)
-    config = learner_suited_to(family) if config is None else config
+    config = learner_suited_to(family).lasting(updates) if config is None else config
     _check_type("train", "config", config, AbstractLearnerConfig)
     learner = config.build(family, task, shaping_by(potential, family))
     outcome = _run_one(learner, seed, updates, every, config.name.upper(), session, progress)
@@ -165,6 +244,7 @@ def adapt(
 
 #: The order of each verb's arguments, for error messages.
 _ORDERS = {
+    "evaluate": "evaluate(prior, family)",
     "meta_train": "meta_train(family, config=...)",
     "train": "train(family, task, potential, config=...)",
     "adapt": "adapt(family, task, prior, config=...)",

@@ -8,6 +8,10 @@ class UpslopeError(ValueError):
     """
 
 
+class PriorWarning(UserWarning):
+    """Meta-training ended with a prior that shows signs of trouble: a policy no better than random, or a flat Φ."""
+
+
 class DamagedFileError(UpslopeError):
     """A file that is damaged, truncated, of another kind, or of a format that this version does not read."""
 

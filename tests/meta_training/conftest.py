@@ -38,7 +38,7 @@ def tasks(maps):
 @pytest.fixture(scope="module")
 def samples(meta, state, tasks):
     """All experience from both maps."""
-    return jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta)())(tasks)
+    return jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta, state.iteration)())(tasks)
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,7 @@ class TestCollecting:
     def test_environments_of_a_map_have_their_own_epsilon(self, maps, state, tasks):
         config = dataclasses.replace(for_grid_games(4), hidden=(8, 8), steps_per_task=200, epsilon=(0.0, 1.0))
         meta = MetaTraining(maps, config.with_posterior(environments=2))
-        collect = jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta)())
+        collect = jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta, state.iteration)())
         collected = collect(tasks)
         greedy = np.asarray(jnp.argmax(q_tables(state.theta, collected.observations), axis=-1))
         for index in range(MAPS):

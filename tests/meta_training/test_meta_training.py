@@ -69,7 +69,7 @@ class TestCollecting:
         meta = learner(tasks=3, steps_per_task=200, epsilon=(0.0, 1.0))
         theta = meta.init(jax.random.key(0)).theta
         tasks = meta.family.sample_many(jax.random.key(1), 3)
-        collect = jax.jit(lambda key, tasks, theta: meta.collect(key, tasks, theta)())
+        collect = jax.jit(lambda key, tasks, theta: meta.collect(key, tasks, theta, jnp.asarray(0))())
         return theta, collect(jax.random.key(2), tasks, theta)
 
     def test_each_task_has_its_own_epsilon(self, collected):

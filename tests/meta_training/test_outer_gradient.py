@@ -118,8 +118,8 @@ class TestAsPrinted:
         def both(state):
             _, task_key, collect_key, update_key = jax.random.split(state.key, 4)
             tasks = self.meta.family.sample_many(task_key, TASKS)
-            experience = self.meta.collect(collect_key, tasks, state.theta)()
-            data = self.meta.draw(jax.random.split(update_key, 1)[0], experience, state.target)
+            experience = self.meta.collect(collect_key, tasks, state.theta, state.iteration)()
+            data = self.meta.draw(jax.random.split(update_key, 1)[0], state, experience, state.target)
             gradient = jax.grad(lambda net: outer_loss(self.meta, net, data))(state.theta)
             by_hand = jax.tree.map(lambda p, g: p - self.meta.config.outer_step_size * g, state.theta, gradient)
             return by_hand, self.meta.step(state)[0]

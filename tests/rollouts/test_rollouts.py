@@ -14,7 +14,7 @@ from support.comparing import assert_trees_identical
 from upslope import GymnasiumTasks, UpslopeError
 from upslope.learners.policies import EpsilonGreedy
 from upslope.networks.dueling import DuelingQ
-from upslope.rollouts import ROLLOUTS, AbstractRollouts
+from upslope.rollouts import ROLLOUTS, AbstractRollouts, EnvironmentFactory
 from upslope.rollouts.rollouts import Trajectories
 from upslope.rollouts.vector_rollouts import in_process
 
@@ -46,7 +46,7 @@ def act(step, obs):
 
 @pytest.fixture
 def rollouts():
-    backend = in_process(Clock, Clock.observation_space, ACTIONS)
+    backend = in_process(EnvironmentFactory(Clock), Clock.observation_space, ACTIONS)
     yield backend
     backend.close()
 
@@ -94,7 +94,7 @@ def test_a_group_that_fails_to_start_is_closed():
         def close(self):
             Failing.closed += 1
 
-    rollouts = in_process(Failing, Clock.observation_space, ACTIONS)
+    rollouts = in_process(EnvironmentFactory(Failing), Clock.observation_space, ACTIONS)
     with pytest.raises(UpslopeError, match="no start"):
         rollouts.start([1, 2], 0)
     assert Failing.closed == 2

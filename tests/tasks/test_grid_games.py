@@ -10,7 +10,7 @@ from upslope.envs.grid_rules import POSITION
 from upslope.errors import UpslopeError
 from upslope.learners.dqn import DQNConfig
 from upslope.meta_training.config import MetaTrainingConfig
-from upslope.meta_training.recipes import for_grid_games, suited_to
+from upslope.meta_training.recipes import for_any_family, for_grid_games, recipe_for
 from upslope.tasks import FAMILIES, cartpoles, clean_maps, grid_games, obstacle_maps
 from upslope.tasks.actions import DiscreteActions
 
@@ -147,9 +147,9 @@ class TestNamedFamilies:
         assert not np.array_equal(first.obstacles, other.obstacles)
 
     def test_families_in_code_have_the_same_recipes(self):
-        assert suited_to(obstacle_maps()) == for_grid_games()
-        assert suited_to(cartpoles()) == MetaTrainingConfig()
-        assert suited_to(grid_games(flat=True)) == MetaTrainingConfig()
+        assert recipe_for(obstacle_maps()) == for_grid_games()
+        assert recipe_for(cartpoles()) == MetaTrainingConfig()
+        assert recipe_for(grid_games(flat=True)) == for_any_family(grid_games(flat=True))
 
 
 @pytest.mark.slow

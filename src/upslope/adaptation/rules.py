@@ -19,6 +19,7 @@ RULES: dict[str, UpdateRule] = {
 
 #: Settings by the ``recipe`` of a family.
 RECIPES: dict[str, Callable[[], AdaptationConfig]] = {
+    "poles": AdaptationConfig,
     "vectors": AdaptationConfig,
     "images": for_maps,
     "maps": for_maps,

@@ -1,13 +1,14 @@
-"""The command line: upslope reproduce, meta-train, train, adapt, check."""
+"""The command line: upslope reproduce, meta-train, evaluate, train, adapt, check."""
 
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import Any, Union
 
 import tyro
 
-from upslope.cli import adapt, check, meta_train, reproduce, train
+from upslope.cli import adapt, check, evaluate, meta_train, reproduce, train
 from upslope.errors import InterruptedRunError, UpslopeError
 from upslope.run.compiling import set_up_devices
 from upslope.run.signals import stop_requests
@@ -16,6 +17,7 @@ from upslope.run.signals import stop_requests
 COMMANDS: dict[str, Callable[[Sequence[str]], Any]] = {
     "reproduce": reproduce.command,
     "meta-train": meta_train.command,
+    "evaluate": evaluate.command,
     "train": train.command,
     "adapt": adapt.command,
     "check": check.command,
@@ -47,6 +49,7 @@ def parse(arguments: Sequence[str]) -> Callable[[], None]:
 def main() -> None:
     """Runs the command line; bad input ends in one sentence and exit code 2."""
     set_up_devices()
+    warnings.showwarning = _show
     try:
         command = parse(sys.argv[1:])
         with stop_requests():
@@ -60,6 +63,11 @@ def main() -> None:
     except KeyboardInterrupt:
         print("upslope: stopped.", file=sys.stderr)
         sys.exit(130)
+
+
+def _show(message: Warning | str, *where: Any, **others: Any) -> None:
+    del where, others  # the place in the code is of no use here
+    print(f"upslope: warning: {message}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from upslope.cli.runs import settings_of
 from upslope.errors import UpslopeError
 from upslope.meta_training.config import MetaTrainingConfig
 from upslope.meta_training.posteriors import POSTERIORS
-from upslope.meta_training.recipes import RECIPES, as_printed
+from upslope.meta_training.recipes import RECIPES, as_printed, named
 from upslope.run.folder import claim
 from upslope.run.session import session_in
 from upslope.tasks.settings import FAMILIES, AbstractFamilySettings
@@ -76,7 +76,8 @@ def command(arguments: Sequence[str]) -> Any:
     """
     family = first_name(arguments, FAMILIES, DEFAULT)
     tasks = family_settings(family)
-    config = as_printed() if "--printed" in arguments else RECIPES[family if family in RECIPES else tasks.recipe]()
+    recipe = family if family in RECIPES else tasks.recipe
+    config = as_printed() if "--printed" in arguments else named(recipe, lambda: tasks.build("train"))
     posterior = option(arguments, "posterior", config.posterior.name)
     if posterior not in POSTERIORS:
         raise UpslopeError(f"There is no posterior {posterior!r}: choose one of {', '.join(POSTERIORS)}.")

@@ -96,5 +96,8 @@ def command(arguments: Sequence[str]) -> Any:
     family = option(arguments, "family", DEFAULT)
     tasks = family_settings(family)
     config = LEARNERS[learner].for_recipe(tasks.recipe)
+    updates = option(arguments, "updates", "")
+    if updates.isdigit():
+        config = config.lasting(int(updates))
     form: Any = Train[default(tasks), default(tasks.task_choice()), default(config)]  # type: ignore[misc]
     return Annotated[form, subcommand("train")]

@@ -1,6 +1,6 @@
 """DDPG for continuous actions, with or without shaping: the learner of Fig. 1, right."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -64,6 +64,9 @@ class DDPGConfig(AbstractLearnerConfig):
     def for_recipe(cls, recipe: str) -> "DDPGConfig":
         del recipe  # the settings are the same for all recipes
         return cls()
+
+    def lasting(self, updates: int) -> "DDPGConfig":
+        return replace(self, decay_updates=self.decay_updates and max(self.decay_updates, updates))
 
     def build(self, family: AbstractFamily, task: Task, shaping: Shaping | None) -> "DDPG":
         self.check_actions(family)

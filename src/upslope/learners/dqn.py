@@ -1,6 +1,6 @@
 """Vanilla DQN, with or without shaping: the learner of Fig. 1, middle, and of Figs. 3 and 5, right."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -65,6 +65,9 @@ class DQNConfig(AbstractLearnerConfig):
     @classmethod
     def for_recipe(cls, recipe: str) -> "DQNConfig":
         return {"images": for_maps, "maps": for_maps}.get(recipe, cls)()
+
+    def lasting(self, updates: int) -> "DQNConfig":
+        return replace(self, decay_updates=self.decay_updates and max(self.decay_updates, updates))
 
     def build(self, family: AbstractFamily, task: Task, shaping: Shaping | None) -> "DQN":
         self.check_actions(family)

@@ -29,6 +29,10 @@ class AbstractLearnerConfig(ABC):
         """The settings that suit families with this ``recipe``."""
 
     @abstractmethod
+    def lasting(self, updates: int) -> "AbstractLearnerConfig":
+        """The same settings for a training of so many updates: the step size does not fall to zero before its end."""
+
+    @abstractmethod
     def build(self, family: AbstractFamily, task: Task, shaping: Shaping | None) -> AbstractTaskLearner:
         """The learner of one task, with shaped rewards if a shaping is given.
 

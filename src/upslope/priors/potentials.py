@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from upslope.networks.dueling import DuelingQ
+from upslope.networks.dueling import AbstractDueling
 from upslope.types import Observation, Scalar
 
 Tree = TypeVar("Tree")
@@ -25,7 +25,7 @@ class MeanPotential(eqx.Module):
         bias: added to the scaled mean, in units of return.
     """
 
-    networks: DuelingQ
+    networks: AbstractDueling
     scale: Float[Array, "*batch"]
     bias: Float[Array, "*batch"]
 
@@ -34,12 +34,12 @@ class MeanPotential(eqx.Module):
         return self.bias + self.scale * jnp.mean(values)
 
 
-def mean_potential(networks: DuelingQ, *, scale: float = 1.0, bias: float = 0.0) -> MeanPotential:
+def mean_potential(networks: AbstractDueling, *, scale: float = 1.0, bias: float = 0.0) -> MeanPotential:
     """The mean of K stacked networks' V heads, scaled and shifted."""
     return MeanPotential(networks, jnp.asarray(scale, jnp.float32), jnp.asarray(bias, jnp.float32))
 
 
-def constant_potential(like: DuelingQ, level: float) -> MeanPotential:
+def constant_potential(like: AbstractDueling, level: float) -> MeanPotential:
     """Φ(s) = level, in the same form as `mean_potential` over ``like``, so that it shares the compiled program."""
     return mean_potential(like, scale=0.0, bias=level)
 

@@ -82,5 +82,5 @@ def cartpoles(
         observation_scale=env.observation_scale,
         actions=ContinuousActions(1) if continuous else DiscreteActions(2),
         max_steps=max_steps,
-        recipe="vectors",
+        recipe="poles",
     )

@@ -95,7 +95,7 @@ class CartPoles(AbstractFamilySettings):
         gamma: discount of the tasks and of the potential.
     """
 
-    recipe: ClassVar[str] = "vectors"
+    recipe: ClassVar[str] = "poles"
     task_choice: ClassVar[type[AbstractTaskChoice]] = PoleChoice
 
     length: tuple[float, float] = (0.25, 5.0)
