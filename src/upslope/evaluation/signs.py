@@ -73,7 +73,7 @@ class Signs:
             found.append(
                 f"The greedy policy is no better than random actions on {share:.0%} of fresh tasks (mean return "
                 f"{self.greedy.mean():.4g}, random {self.random.mean():.4g}): train for more iterations, explore with "
-                "longer_hold or more environments, or give the family a denser reward."
+                "a larger longest_hold or more environments, or give the family a denser reward."
             )
         elif share > 0.2:
             found.append(
