@@ -15,6 +15,7 @@ from upslope.networks.dueling import DuelingQ
 from upslope.run.loop import broadcast, run
 from upslope.run.outcome import Outcome
 from upslope.run.session import Session
+from upslope.tasks.family import AbstractFamily
 from upslope.tasks.jax_tasks import JaxTasks
 from upslope.types import Keys, Task
 
@@ -43,7 +44,7 @@ class Priors(NamedTuple):
 
 
 def meta_train_priors(
-    family: JaxTasks,
+    family: AbstractFamily,
     config: MetaTrainingConfig,
     first_seed: int,
     seeds: int,

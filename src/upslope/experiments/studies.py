@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from upslope.experiments.experiment import Experiment, Settings
+from upslope.experiments.families.recipe_study import RecipeConfig, quick_recipe, recipe_study
 from upslope.experiments.maps import learners as on_maps
 from upslope.experiments.poles import learners as on_poles
 from upslope.experiments.poles.deviations import DeviationsConfig, deviations, quick_deviations
@@ -78,6 +79,15 @@ def _step_ratio_table(results: dict[str, Any]) -> Table:
     return table
 
 
+def _recipe_table(results: dict[str, Any]) -> Table:
+    table = Table("family", "changed", "mean return of each seed", "solved", title="Zero-shot return of the priors")
+    for family, variants in results["families"].items():
+        for row in variants.values():
+            means = ", ".join(f"{mean:.3g}" for mean in row["means"])
+            table.add_row(family, row["what"], means, f"{sum(row['solved']) / len(row['solved']):.2f}")
+    return table
+
+
 STUDIES: dict[str, Experiment[Any, dict[str, Any]]] = {
     "deviations": study(DeviationsConfig, quick_deviations, deviations, _deviations_table),
     "learners": study(on_poles.LearnersConfig, on_poles.quick_learners, on_poles.learners, _learners_table),
@@ -87,5 +97,6 @@ STUDIES: dict[str, Experiment[Any, dict[str, Any]]] = {
         on_maps.grid_learners,
         _grid_learners_table,
     ),
+    "recipe": study(RecipeConfig, quick_recipe, recipe_study, _recipe_table),
     "step-ratio": study(StepRatioConfig, quick_step_ratio, step_ratio, _step_ratio_table),
 }

@@ -20,8 +20,8 @@ def for_any_family(family: AbstractFamily) -> MetaTrainingConfig:
     docs/deviations.md shows the measured effect of these choices.
 
     Args:
-        family: episodes of up to 1,000 steps are collected whole; where each state costs a convolution, an outer step
-            draws pieces of them.
+        family: episodes of up to 1,000 steps are collected whole; outer steps draw pieces of them, shorter ones where
+            each state costs a convolution.
     """
     steps = min(max(family.max_steps, 200), 1000)
     is_costly = torso_class(family.observation_shape).takes_turns
@@ -30,9 +30,9 @@ def for_any_family(family: AbstractFamily) -> MetaTrainingConfig:
         iterations=300,
         tasks=10,
         steps_per_task=steps,
-        hidden=(64, 64),
+        hidden=(256, 256),
         activation="relu",
-        posterior=TrajectoryPosterior(environments=environments, drawn_steps=16 if is_costly else None),
+        posterior=TrajectoryPosterior(environments=environments, drawn_steps=16 if is_costly else 50),
         outer_step_size=1e-3,
         outer_step_size_end=1e-4,
         outer_updates=16,
