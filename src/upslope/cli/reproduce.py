@@ -19,8 +19,8 @@ class Reproduce:
     figure: Annotated[Positional[str], arg(metavar="FIGURE")]
     """fig1 to fig5; theorems (the paper's, checked on thousands of maps); all of these; or a study: deviations (the
     effect of each difference from the paper), learners and grid-learners (of the learners' settings), grid-readings (of
-    Algorithm 1's on maps), grid-precisions (of fewer bits), step-ratio (of the length of Algorithm 2's second step), recipe
-    (of each part of the recipe for any family); or shipped-prior (the prior of the package, with its card)."""
+    Algorithm 1's on maps), grid-precisions (of fewer bits), step-ratio (of the length of Algorithm 2's second step),
+    recipe (of each part of the recipe for any family); or shipped-prior (the prior of the package, with its card)."""
     out: Path | None = None
     """Folder for the results; it must be empty. A new one under runs/ by default."""
     quick: bool = False
