@@ -46,7 +46,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 # The tools, and other libraries' learners and environments; gymnax asks for an older Gymnasium than it needs.
 $(TESTABLE): $(INSTALLED)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,clients]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,clients,families]'
 	$(BIN)/pip install --quiet --constraint constraints.txt --no-deps gymnax
 	touch $(TESTABLE)
 
