@@ -190,3 +190,35 @@ def test_an_unknown_mode():
 def test_simulators_load_no_jax():
     program = "import sys, upslope.rollouts, upslope.rollouts.task_slot; sys.exit('jax' in sys.modules)"
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+class TestKeptEnvironments:
+    """A factory that can give tasks builds one environment for each place."""
+
+    def counting(self, give_task):
+        made = []
+
+        def make_env(task):
+            made.append(task)
+            return Clock(task)
+
+        return in_process(EnvironmentFactory(make_env, give_task), Clock.observation_space, ACTIONS), made
+
+    def test_they_are_built_once_for_each_place_and_give_the_same_transitions(self):
+        kept, made = self.counting(lambda env, task: setattr(env, "task", task))
+        rebuilt, made_again = self.counting(None)
+        for tasks in ([4, 5], [7, 8], [9, 6]):
+            for one, other in zip(kept.rollout(tasks, 0, act, 5), rebuilt.rollout(tasks, 0, act, 5), strict=True):
+                np.testing.assert_array_equal(one, other)
+            np.testing.assert_array_equal(kept.returns(tasks, 0, act, 9), rebuilt.returns(tasks, 0, act, 9))
+        assert made == [4, 5]
+        assert made_again == [4, 5, 4, 5, 7, 8, 7, 8, 9, 6, 9, 6]
+
+    def test_a_task_that_can_not_be_given_is_named(self):
+        def refuse(env, task):
+            raise KeyError("no such task")
+
+        rollouts, _ = self.counting(refuse)
+        rollouts.rollout([4], 0, act, 1)
+        with pytest.raises(UpslopeError, match=r"set_task failed for the task 5 \(KeyError: 'no such task'\)"):
+            rollouts.rollout([5], 0, act, 1)

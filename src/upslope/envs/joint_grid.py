@@ -20,8 +20,8 @@ class JointGrid:
     """An environment of gymnax's signature whose boxed actions are replaced by all combinations of a few forces.
 
     As `gymnasium.wrappers.DiscretizeAction` does for Gymnasium, but with the strongest forces among the few, where that
-    has the middles of equal bins. The number of actions is ``bins`` to the power of the components of an action, so this
-    is for three components at most.
+    has the middles of equal bins. The number of actions is ``bins`` to the power of the components of an action: fine
+    up to three.
 
     Attributes:
         env: with continuous actions.
