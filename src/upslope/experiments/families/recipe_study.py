@@ -64,7 +64,7 @@ class RecipeConfig:
     seeds: int = 3
     first_seed: int = 0
     tasks: int = 50
-    families: tuple[str, ...] = ("mountain cars", "reach", "acrobots")
+    families: tuple[str, ...] = ("mountain cars", "reach")
     variants: tuple[str, ...] = ()
     iterations: int | None = None
 
