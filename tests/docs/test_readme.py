@@ -5,6 +5,7 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import upslope
@@ -59,3 +60,12 @@ def test_the_make_targets_exist() -> None:
     makefile = (Path(__file__).parents[2] / "Makefile").read_text(encoding="utf-8")
     for target in re.findall(r"^make ([a-z-]+)", README, re.MULTILINE):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE)
+
+
+def test_the_family_of_the_page_on_families_can_be_run() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "families.md").read_text(encoding="utf-8")
+    names: dict = {}
+    exec(compile("\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL)), "families.md", "exec"), names)
+    family = names["family"]
+    assert (family.actions.count, family.max_steps) == (5, 200)
+    assert family.task_of(family.sample(0)) == names["sample"](np.random.default_rng(np.asarray(family.sample(0)))) > 5
