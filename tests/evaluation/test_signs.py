@@ -1,5 +1,7 @@
 """What policy and potential show without a learner, for networks whose values are known by hand."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -65,6 +67,12 @@ class TestSigns:
         assert found.floor_share == 1
         assert "no better than random actions on 100%" in found.warnings()[0]
         assert not found.is_flat
+
+    def test_where_nothing_ever_differs_only_that_is_said(self):
+        found = measured(constant(3.0))
+        assert found.differs
+        (sentence,) = replace(found, differs=False).warnings()
+        assert "Every step paid the same" in sentence
 
     @pytest.mark.parametrize("level", [-100.0, 0.0, 5.0])
     def test_a_level_does_not_hide_how_flat_it_is(self, level):

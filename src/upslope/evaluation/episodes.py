@@ -22,6 +22,7 @@ class Episodes(eqx.Module):
         discounted: the discounted returns ``[n]``; where a time limit ended the episode, V of the last state stands for
             what would have followed.
         terminated: whether the environment ended it, not a time limit ``[n]``.
+        rewards: of each step, raw ``[n, steps]``.
         counts: which steps belong to the episode ``[n, steps]``.
         values: V of each state ``[n, steps]``.
         td_errors: r + d·V(s') − Q(s, a) of each step ``[n, steps]``.
@@ -30,6 +31,7 @@ class Episodes(eqx.Module):
     returns: Float[Any, "n"]
     discounted: Float[Any, "n"]
     terminated: Bool[Any, "n"]
+    rewards: Float[Any, "n steps"]
     counts: Bool[Any, "n steps"]
     values: Float[Any, "n steps"]
     td_errors: Float[Any, "n steps"]
@@ -60,6 +62,7 @@ def first_episodes(network: AbstractDueling, seen: Transition) -> Episodes:
         returns=jnp.sum(seen.reward * counts, axis=1),
         discounted=discounted_returns(with_tail)[:, 0],
         terminated=jnp.any(is_last & (seen.discount == 0), axis=1),
+        rewards=seen.reward,
         counts=counts,
         values=over_steps(network.value)(seen.obs),
         td_errors=seen.reward + next_values - over_steps(network.q)(seen.obs, seen.action),

@@ -36,6 +36,7 @@ class Signs:
         level: mean of Φ over the states of random episodes, in units of the return.
         largest: the largest size of Φ or of a discounted return.
         drip: (γ − 1)·level: what shaping adds to the reward of each step for the level alone.
+        differs: whether anything that happened was better than something else: two rewards differ, or an episode ended.
         rise: rank correlation of Φ with time, a mean over the greedy episodes that are better than random ones and not
             constant; None if there are none. Near 1 where episodes lead to a goal; near 0 where they keep a balance.
     """
@@ -49,6 +50,7 @@ class Signs:
     level: float
     largest: float
     drip: float
+    differs: bool
     rise: float | None
 
     @property
@@ -68,6 +70,11 @@ class Signs:
 
     def warnings(self) -> list[str]:
         """A sentence for each sign of trouble, with what to try."""
+        if not self.differs:
+            return [
+                "Every step paid the same and no episode terminated, neither at random nor by the prior's policy, so there "
+                "was nothing to learn: check the family's reward, or make it denser."
+            ]
         share, found = self.floor_share, []
         if share > 0.8:
             found.append(
@@ -96,6 +103,7 @@ def signs(family: AbstractFamily, network: AbstractDueling, tasks: Task, key: Ke
     greedy_key, random_key = jax.random.split(key)
     greedy = play(family, greedy_key, many, Greedy(network), network)
     random = play(family, random_key, many, EpsilonGreedy(network, jnp.ones(count)), network)
+    rewards = np.concatenate([episodes.rewards[episodes.counts] for episodes in (greedy, random)])
     values = np.concatenate([episodes.values[episodes.counts] for episodes in (greedy, random)])
     errors = np.concatenate([episodes.td_errors[episodes.counts] for episodes in (greedy, random)])
     level = float(random.values[random.counts].mean())
@@ -110,6 +118,7 @@ def signs(family: AbstractFamily, network: AbstractDueling, tasks: Task, key: Ke
         level=level,
         largest=float(max(np.abs(values).max(), np.abs(returns).max())),
         drip=(family.gamma - 1) * level,
+        differs=bool(np.ptp(rewards) > 0 or greedy.terminated.any() or random.terminated.any()),
         rise=_rise(greedy, float(random.returns.mean())),
     )
 
