@@ -72,8 +72,8 @@ class Signs:
         """A sentence for each sign of trouble, with what to try."""
         if not self.differs:
             return [
-                "Every step paid the same and no episode terminated, neither at random nor by the prior's policy: there "
-                "is nothing to learn. Check the family's reward, or make it denser."
+                "Every step paid the same and no episode terminated, neither at random nor by the prior's policy: "
+                "there is nothing to learn. Check the family's reward, or make it denser."
             ]
         share, found = self.floor_share, []
         if share > 0.8:
