@@ -3,6 +3,7 @@
 import inspect
 import pickle
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import ClassVar
 
 import jax
@@ -27,6 +28,7 @@ from upslope import (
     train,
 )
 from upslope.learners import LEARNERS, suited_to
+from upslope.learners.agent import Agent, record
 from upslope.learners.dqn import DQN, for_maps
 from upslope.networks.dueling import DuelingQ
 from upslope.priors.prior import trained_on
@@ -79,6 +81,7 @@ def test_training_reports_raw_returns_whatever_the_potential() -> None:
     assert shaped.metrics["shaped_reward"][1] != pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_a_potential_that_is_not_finite_somewhere_stops_the_run() -> None:
     with pytest.raises(UpslopeError, match="not a finite number at update"):
         train(POLES, TASK, lambda obs: jnp.where(obs[2] == 0, 0.0, jnp.inf), updates=4, every=2, config=SMALL)
@@ -103,7 +106,7 @@ def test_the_default_learner_suits_the_family() -> None:
     assert suited_to(grid_games(flat=True)) == DQNConfig()
 
 
-def test_two_learners_for_one_kind_of_action(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_learners_for_one_kind_of_action(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     """A new learner is a settings class and its entry in the table; its agents are saved and loaded by its name."""
 
     @dataclass(frozen=True)
@@ -114,14 +117,16 @@ def test_two_learners_for_one_kind_of_action(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setitem(LEARNERS, "patient", PatientConfig)
     config = PatientConfig(batch_size=4, warmup_steps=8, replay_capacity=64, evaluation_episodes=1)
-    result = train(POLES, TASK, updates=2, every=2, config=config)
-    assert result.agent.trained_on.learner == "patient"
-    assert result.agent.trained_on.settings["target_rate"] == 0.001
+    about = record(config, POLES, 3)
+    assert (about.learner, about.settings["target_rate"]) == ("patient", 0.001)
+    network = config.policy_network(jax.random.key(0), (4,), 2, POLES.observation_scale)
+    Agent(network, about).save(tmp_path / "agent.safetensors")
+    assert Agent.load(tmp_path / "agent.safetensors").trained_on == about
     assert suited_to(POLES) == DQNConfig()
     assert config.build(POLES, TASK, None) == DQN(POLES, TASK, None, config)
 
 
-@pytest.fixture(scope="module", params=["discrete", "continuous"])
+@pytest.fixture(scope="module", params=["discrete", pytest.param("continuous", marks=pytest.mark.slow)])
 def result(request) -> upslope.TrainingResult:
     if request.param == "discrete":
         return train(POLES, TASK, updates=3, every=2, seed=4, config=SMALL)
@@ -203,8 +208,11 @@ FEW = MetaTrainingConfig(
 ).with_posterior(batch_size=4)  # fmt: skip
 
 
-def test_meta_training_returns_its_learning_curve(tmp_path) -> None:
-    prior = meta_train(POLES, config=FEW)
+def test_meta_training_returns_its_learning_curve_and_warns(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trouble = SimpleNamespace(warnings=lambda: ["The potential is flat."])
+    monkeypatch.setattr("upslope.api.signs", lambda *measured: trouble)
+    with pytest.warns(upslope.PriorWarning, match=r"The potential is flat\."):
+        prior = meta_train(POLES, config=FEW)
     np.testing.assert_array_equal(prior.curve.updates, [0, 2, 4])
     assert prior.curve.returns.shape == (3,)
     best = prior.curve.updates.tolist().index(prior.trained_on.settings["iteration"])
@@ -214,6 +222,7 @@ def test_meta_training_returns_its_learning_curve(tmp_path) -> None:
     assert Prior.load(tmp_path / "prior.safetensors").curve is None
 
 
+@pytest.mark.slow
 def test_adaptation_returns_a_posterior_that_acts() -> None:
     config = AdaptationConfig(batch_size=8, replay_capacity=64, steps_per_update=8, evaluation_episodes=1)
     prior = prior_of()

@@ -66,6 +66,7 @@ def test_the_order_of_arguments_is_checked(prior):
         inspect.unwrap(upslope.evaluate)(corridors(), prior)
 
 
+@pytest.mark.slow
 def test_meta_training_warns_of_a_policy_that_learned_nothing():
     few = {"iterations": 1, "tasks": 2, "outer_updates": 1, "kept_iterations": 1, "random_iterations": 1}
     config = recipe_for(corridors(), hidden=(4,), evaluation_tasks=20, select_from=1.0, **few)

@@ -6,6 +6,7 @@ import weakref
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from upslope.adaptation.algorithm2 import AdaptationConfig
 from upslope.experiments import adaptation_panel as module
@@ -44,6 +45,7 @@ class States:
     """The learners' states are dropped: on maps they are gigabytes."""
 
 
+@pytest.mark.slow
 def test_states_of_finished_runs_are_let_go(monkeypatch):
     family, config = cartpoles(), MetaTrainingConfig(hidden=(4,))
     priors = Priors(

@@ -45,6 +45,7 @@ class TestAveraging:
         assert_trees_identical(states[0].average, states[0].theta)
         assert_trees_identical(states[0].target, states[0].theta)
 
+    @pytest.mark.slow
     def test_without_averaging_the_prior_is_theta(self):
         meta = learner(averaging=0.0)
         before = meta.init(jax.random.key(0))
@@ -52,6 +53,7 @@ class TestAveraging:
         assert_trees_close(after.average, after.theta, rtol=1e-6)
         assert largest(jax.tree.map(jnp.subtract, after.theta, before.theta)) > 1e-4
 
+    @pytest.mark.slow
     def test_without_an_averaged_network_the_target_is_theta(self):
         meta = learner_by(target_decay=None)
         after = jax.jit(meta.step)(meta.init(jax.random.key(0)))[0]

@@ -89,6 +89,7 @@ class TestConvolutional:
     def maps():
         return jax.random.bernoulli(jax.random.key(1), 0.3, (7, *TestConvolutional.SHAPE)).astype(jnp.float32)
 
+    @pytest.mark.slow
     def test_every_form_gives_the_same_values_and_gradients(self, maps):
         torso = convolutional_torso(jax.random.key(0), self.SHAPE, (5,), channels=(3, 2))
 

@@ -67,7 +67,7 @@ class TestACorridorOf200Cells:
             np.testing.assert_array_equal(best_actions(found.action_value)[:199], ONLY_RIGHT)
 
 
-@pytest.mark.parametrize("gamma", [0.05, 0.4, 0.5, 0.99])
+@pytest.mark.parametrize("gamma", [0.05, *(pytest.param(gamma, marks=pytest.mark.slow) for gamma in (0.4, 0.5)), 0.99])
 @pytest.mark.parametrize("obstacles", [0.0, 0.3])
 def test_any_discount_against_breadth_first_distances(gamma, obstacles):
     family = grid_games((10, 10), obstacles=obstacles, gamma=gamma)

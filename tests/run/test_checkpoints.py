@@ -106,7 +106,7 @@ class TestResuming:
     @pytest.mark.parametrize(
         "learner",
         [
-            pytest.param(learner, id=name, marks=[pytest.mark.slow] * (name != "Algorithm 1"))
+            pytest.param(learner, id=name, marks=[pytest.mark.slow] * (name != "DQN"))
             for name, learner in LEARNERS.items()
         ],
     )

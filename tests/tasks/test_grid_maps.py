@@ -141,6 +141,7 @@ class TestSplits:
         assert float(are_test_maps(clean).mean()) == pytest.approx(0.2, abs=0.04)
         assert float(are_test_maps(draw(grid_games(), 2000)).mean()) == pytest.approx(0.2, abs=0.04)
 
+    @pytest.mark.slow
     def test_clean_splits_share_no_map(self, clean_training):
         assert not set(rows(clean_training)) & set(rows(draw(clean_maps("test"), 1000)))
 
@@ -153,6 +154,7 @@ class TestSplits:
         assert not trained & tested
         assert tested == set(np.flatnonzero(held_out_goals(10, 10)).tolist())
 
+    @pytest.mark.slow
     def test_held_out_goals_on_maps_with_obstacles(self):
         train, test = (draw(grid_games(split=split, held_out="goals"), 500) for split in ("train", "test"))
         assert not set(train.goal.tolist()) & set(test.goal.tolist())

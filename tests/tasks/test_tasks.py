@@ -160,7 +160,7 @@ class TestDrawingAhead:
 
     tasks = stack([pole(length) for length in (0.5, 1.0, 3.0)])
 
-    @pytest.mark.parametrize("kind", [EpsilonGreedy, Greedy])
+    @pytest.mark.parametrize("kind", [EpsilonGreedy, pytest.param(Greedy, marks=pytest.mark.slow)])
     def test_the_same_steps(self, kind):
         family = cartpoles(gamma=0.9)
         network = DuelingQ(jax.random.key(1), 4, 2)
