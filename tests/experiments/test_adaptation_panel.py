@@ -32,9 +32,9 @@ class TestTuning:
 
     def test_the_run_that_is_left_over_is_not_counted(self) -> None:
         scores = np.arange(2 * 7 * 4.0).reshape(2, 1, 7, 4)
-        told = Tuning((0.1, 0.2, 0.4), test_tasks=7).by_step_size(scores)
-        assert told.shape == (2, 1, 2, 3, 4)
-        np.testing.assert_array_equal(told[1, 0, 1, 2], scores[1, 0, 5])
+        by_step_size = Tuning((0.1, 0.2, 0.4), test_tasks=7).by_step_size(scores)
+        assert by_step_size.shape == (2, 1, 2, 3, 4)
+        np.testing.assert_array_equal(by_step_size[1, 0, 1, 2], scores[1, 0, 5])
 
     def test_with_fewer_tasks_than_sizes_all_sizes_are_tried_on_one(self) -> None:
         tuning = Tuning((0.1, 0.2, 0.4), test_tasks=2)

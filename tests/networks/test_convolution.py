@@ -44,15 +44,15 @@ def in_form(form):
 
 
 def derivatives(form, images, kernel):
-    """First derivatives of something bent, and second ones along something bent again."""
+    """First derivatives of something curved, and second ones along something curved again."""
 
     def first(images, kernel):
         return jax.grad(lambda *both: jnp.sum(jnp.sin(form(*both)) ** 2), (0, 1))(images, kernel)
 
-    def bent(images, kernel):
+    def curved(images, kernel):
         return sum(jnp.sum(jnp.cos(part)) for part in first(images, kernel))
 
-    return jax.jit(lambda *both: (first(*both), jax.grad(bent, (0, 1))(*both)))(images, kernel)
+    return jax.jit(lambda *both: (first(*both), jax.grad(curved, (0, 1))(*both)))(images, kernel)
 
 
 @pytest.mark.parametrize("form", NAMES)
@@ -81,10 +81,10 @@ def test_third_derivatives_too(form):
     images, kernel = images_and_kernel((1, 3, 2, 2, 2))
 
     def third(form):
-        def bent(image_share, kernel_share):
+        def curved(image_share, kernel_share):
             return jnp.sum(jnp.sin(form(image_share * images, kernel_share * kernel)))
 
-        return jax.jit(jax.grad(jax.grad(jax.grad(bent, 0), 1), 0))(jnp.asarray(0.7), jnp.asarray(1.3))
+        return jax.jit(jax.grad(jax.grad(jax.grad(curved, 0), 1), 0))(jnp.asarray(0.7), jnp.asarray(1.3))
 
     np.testing.assert_allclose(third(in_form(form)), third(lax_convolution), rtol=1e-9)
 

@@ -43,7 +43,7 @@ class MetaTrainingConfig:
         outer_optimiser: Adam, or plain gradient descent as in the paper.
         outer_updates: outer steps per iteration, each on a fresh draw from the same replays.
         epsilon: share of random actions in the first and in the last task (or environment); the rest are spaced evenly.
-        longest_hold: random actions are held for up to so many steps (`HeldActions`); 1 draws each step's anew.
+        longest_hold: random actions are held for up to so many steps (`HeldActions`); 1 draws a new one in each step.
         random_iterations: in so many iterations at the start all actions are random.
         kept_iterations: outer steps draw from the replays of so many iterations, the latest; 1 is the paper's.
         normalise: bring observations and returns to the order of one, by what the random iterations show.

@@ -12,7 +12,7 @@ from upslope.types import Key
 
 
 def remember(state: MetaTrainingState, gathered: Replays, config: MetaTrainingConfig) -> MetaTrainingState:
-    """The state with the replays of one more iteration; while steps are random, all networks get the scaling anew."""
+    """The state with the replays of one more iteration; while steps are random, all networks get the new scaling."""
     if state.kept is not None:
         place = state.iteration % config.kept_iterations * config.tasks
         kept = jax.tree.map(

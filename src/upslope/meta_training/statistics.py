@@ -67,7 +67,7 @@ class Statistics(eqx.Module):
     def scaling(self) -> Scaling:
         """Observations of mean 0 and deviation 1, and returns of the order of ten.
 
-        A component that never changes is only shifted. The range counts beside the deviation, or what is rare in random
+        A component that never changes is only shifted. The range counts too, or what is rare in random
         steps, such as a flag, would be enormous whenever it is not.
         """
         deviation = jnp.sqrt(self.squares / jnp.maximum(self.count, 1))

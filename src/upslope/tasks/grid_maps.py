@@ -73,8 +73,8 @@ class RandomMaps(eqx.Module):
         allowed = jnp.asarray(self.allowed_goals())
         free = ~(obstacles | traps)
         freed = _pair_to_free(carve_key, allowed)
-        free = jnp.where(jnp.any(free & beside(free) & allowed), free, free | freed)
-        goal = _any_of(goal_key, free & beside(free) & allowed)
+        free = jnp.where(jnp.any(free & neighbours(free) & allowed), free, free | freed)
+        goal = _any_of(goal_key, free & neighbours(free) & allowed)
         start = _any_of(start_key, reachable(free, goal) & (jnp.arange(free.size).reshape(shape) != goal))
         return GridParams(
             obstacles & ~free,
@@ -94,7 +94,7 @@ class RandomMaps(eqx.Module):
         return of_tests if self.split == "test" else ~of_tests
 
 
-def beside(mask: Mask) -> Mask:
+def neighbours(mask: Mask) -> Mask:
     """The cells with a neighbour (above, below, left or right) in the mask."""
     padded = jnp.pad(mask, 1)
     return padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
@@ -105,7 +105,7 @@ def reachable(free: Mask, goal: Int[Array, ""]) -> Mask:
 
     def spread(masks: tuple[Mask, Mask]) -> tuple[Mask, Mask]:
         _, mask = masks
-        return mask, mask | (beside(mask) & free)
+        return mask, mask | (neighbours(mask) & free)
 
     start = (jnp.arange(free.size) == goal).reshape(free.shape)
     return jax.lax.while_loop(lambda masks: jnp.any(masks[0] != masks[1]), spread, spread((start, start)))[1]
@@ -143,4 +143,4 @@ def _pair_to_free(key: Key, allowed: Mask) -> Mask:
     first_key, second_key = jax.random.split(key)
     cells = jnp.arange(allowed.size).reshape(allowed.shape)
     first = cells == _any_of(first_key, allowed)
-    return first | (cells == _any_of(second_key, beside(first)))
+    return first | (cells == _any_of(second_key, neighbours(first)))

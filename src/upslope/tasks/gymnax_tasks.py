@@ -142,14 +142,14 @@ def _scale(space: Any, shape: tuple[int, ...], given: Sequence[float] | None) ->
     bounds = []
     for side in ("low", "high"):
         bound = getattr(space, side, None)
-        is_told = bound is not None and theirs is not None and math.prod(theirs) == math.prod(shape)
-        bounds.append(np.broadcast_to(np.asarray(bound), theirs).reshape(shape) if is_told else np.full(shape, np.inf))
+        is_stated = bound is not None and theirs is not None and math.prod(theirs) == math.prod(shape)
+        bounds.append(np.broadcast_to(np.asarray(bound), theirs).reshape(shape) if is_stated else np.full(shape, np.inf))
     return scale_of(bounds[0], bounds[1], given)
 
 
 def _limit(params: Any, given: int | None) -> int:
-    told = getattr(params, "max_steps_in_episode", getattr(params, "max_steps", None))
-    limit = told if given is None else given
+    stated = getattr(params, "max_steps_in_episode", getattr(params, "max_steps", None))
+    limit = stated if given is None else given
     if limit is None or int(limit) < 1:
         raise UpslopeError(
             "The parameters do not say after how many steps an episode is truncated: give max_steps, as many as in the "
