@@ -19,7 +19,7 @@ for wait in (0.1, 0.8):
 """
 
 
-def test_the_first_picture_is_told_from_the_end_and_from_those_of_earlier_runs(tmp_path):
+def test_the_first_picture_is_not_taken_for_the_last_one_or_for_an_earlier_run_s(tmp_path):
     for name in ("one", "two"):
         row = watched([sys.executable, "-c", DRAWING, name], tmp_path / "runs", tmp_path / "cache", tmp_path)
         assert 0.1 < row[FIRST_PICTURE] < row["median"] - 0.5

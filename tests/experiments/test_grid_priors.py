@@ -105,7 +105,7 @@ def test_training_and_test_goals_of_clean_maps_are_apart():
     assert not goals & unseen
 
 
-def test_single_maps_are_told_beside_their_detours(row, folder):
+def test_single_maps_are_listed_with_their_detours(row, folder):
     assert np.shape(row["maps"]["rank_correlation"]) == np.shape(row["maps"]["success"]) == (1, 3)
     assert np.mean(row["maps"]["rank_correlation"][0]) == pytest.approx(row["final"]["rank_correlation"][0], abs=1e-6)
     detours = json.loads((folder / "results.json").read_text(encoding="utf-8"))["detours"]

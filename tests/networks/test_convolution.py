@@ -181,7 +181,7 @@ class TestPrecision:
         ("precision", "said"),
         [("float32", "HIGHEST"), ("tensorfloat32", "tf32"), ("bfloat16", "bf16")],
     )
-    def test_gpus_are_told_how_to_multiply(self, precision, said):
+    def test_gpus_get_the_precision(self, precision, said):
         images, kernel = (part.astype(jnp.float32) for part in images_and_kernel((2, 5, 6, 3, 4)))
 
         def loss(images, kernel):

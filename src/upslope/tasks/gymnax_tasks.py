@@ -142,8 +142,8 @@ def _scale(space: Any, shape: tuple[int, ...], given: Sequence[float] | None) ->
     bounds = []
     for side in ("low", "high"):
         bound = getattr(space, side, None)
-        is_stated = bound is not None and theirs is not None and math.prod(theirs) == math.prod(shape)
-        bounds.append(np.broadcast_to(np.asarray(bound), theirs).reshape(shape) if is_stated else np.full(shape, np.inf))
+        is_known = bound is not None and theirs is not None and math.prod(theirs) == math.prod(shape)
+        bounds.append(np.broadcast_to(np.asarray(bound), theirs).reshape(shape) if is_known else np.full(shape, np.inf))
     return scale_of(bounds[0], bounds[1], given)
 
 
