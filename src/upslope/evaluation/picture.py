@@ -12,10 +12,11 @@ from upslope.evaluation.signs import Signs
 from upslope.evaluation.verdict import Verdict
 from upslope.storage import write_atomically
 
+#: Label, colour and line of each arm. Arms that learn nothing lie on one another: the dashed one comes last.
 STYLES = {
-    "unshaped": ("no shaping", "#4d9221"),
-    "constant": ("constant potential", "#878787"),
-    "shaped": ("this prior", "#d6604d"),
+    "shaped": ("this prior", "#d6604d", "-"),
+    "constant": ("constant potential", "#878787", "-"),
+    "unshaped": ("no shaping", "#4d9221", "--"),
 }
 
 
@@ -55,10 +56,10 @@ def _calibration(axis: Axes, signs: Signs) -> None:
 
 
 def _learners(axis: Axes, test: LearnerTest) -> None:
-    for arm, (label, colour) in STYLES.items():
+    for arm, (label, colour, line) in STYLES.items():
         low, middle, high = np.percentile(test.returns[arm], [25, 50, 75], axis=0)
         axis.fill_between(test.updates, low, high, color=colour, alpha=0.15, linewidth=0)
-        axis.plot(test.updates, middle, color=colour, label=label)
-    title = f"{test.learner.upper()} on {len(test.returns['shaped'])} fresh tasks: median and quartiles"
-    axis.set(title=title, xlabel="updates", ylabel="return")
+        axis.plot(test.updates, middle, line, color=colour, label=label)
+    title = f"{test.learner.upper()} on {len(test.returns['shaped'])} fresh tasks"
+    axis.set(title=title, xlabel="updates", ylabel="return: median and quartiles")
     axis.legend(frameon=False)
