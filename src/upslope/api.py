@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from upslope.adaptation import rules
 from upslope.adaptation.algorithm2 import Adaptation, AdaptationConfig, Algorithm2, UpdateRule
 from upslope.errors import PriorWarning, UpslopeError
+from upslope.evaluation.first_look import look_at
 from upslope.evaluation.learner_test import compare_learners
 from upslope.evaluation.signs import signs
 from upslope.evaluation.verdict import Verdict
@@ -55,15 +56,17 @@ def meta_train(
 
     Warns:
         PriorWarning: the prior shows signs of trouble on fresh training tasks: its policy is no better than random
-            actions on all or some of them, or its potential is flat.
+            actions on all or some of them, or its potential is flat; or all tasks of the family are the same.
 
     Raises:
-        UpslopeError: an argument has the wrong type, or training diverges.
+        UpslopeError: an argument has the wrong type, observations never change, observations or rewards are not finite,
+            or training diverges.
     """
     _check_type("meta_train", "family", family, AbstractFamily)
     config = recipe_for(family) if config is None else config
     _check_type("meta_train", "config", config, MetaTrainingConfig)
     learner = MetaTraining(family, config)
+    look_at(family, jax.random.key(seed))
     outcome = _run_one(learner, seed, config.iterations, config.snapshot_every, "meta-training", session, progress)
     prior = best_prior(family, outcome, config, 0, seed)
     for sentence in signs(family, prior.network, *_fresh_tasks(family, config.evaluation_tasks, seed)).warnings():

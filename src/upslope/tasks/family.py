@@ -101,6 +101,10 @@ class AbstractFamily(eqx.Module):
             previous: before it.
         """
 
+    def task_of(self, task: Task) -> Any:
+        """The task as its sampler returned it."""
+        return task
+
     def sample_many(self, key: Key, count: int) -> Task:
         """Draws ``count`` tasks as one stacked PyTree ``[count, ...]``."""
         return jax.vmap(self.sample)(jax.random.split(key, count))
