@@ -2,6 +2,7 @@
 
 import jax
 
+from upslope.envs.joint_grid import JointGrid
 from upslope.families.extras import gymnax
 from upslope.tasks.gymnax_tasks import gymnax_tasks
 from upslope.tasks.jax_tasks import JaxTasks
@@ -30,8 +31,6 @@ def continuous_mountain_cars(
     bins: int | None = 3,
 ) -> JaxTasks:
     """Reward 100 on the hill, less the force that was used; ``bins`` forces, or a continuous one if None."""
-    from upslope.envs.joint_grid import JointGrid
-
     env, params = gymnax().make("MountainCarContinuous-v0")
 
     def sample(key: jax.Array) -> object:
