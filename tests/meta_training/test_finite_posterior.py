@@ -51,6 +51,15 @@ class TestCollecting:
             assert explored[:200].mean() == 0
             assert explored[200:].mean() == pytest.approx(0.75, abs=0.12)
 
+    @pytest.mark.slow
+    @pytest.mark.parametrize(("longest", "changes"), [(1, 0.75), (50, 0.137)])
+    def test_random_actions_are_held_here_too(self, maps, state, tasks, longest, changes):
+        config = dataclasses.replace(for_grid_games(4), hidden=(8, 8), epsilon=(1.0, 1.0), longest_hold=longest)
+        meta = MetaTraining(maps, config.with_posterior(environments=16))
+        collect = jax.jit(lambda tasks: meta.collect(jax.random.key(1), tasks, state.theta, state.iteration)())
+        action = np.asarray(collect(tasks).steps.action).reshape(MAPS, 16, -1)
+        assert (np.diff(action, axis=2) != 0).mean() == pytest.approx(changes, abs=0.03)
+
 
 class TestOuterLoss:
     PRIOR = jnp.array([[1.0, 0.0, 7.0], [2.0, 2.0, 2.0]])

@@ -5,6 +5,7 @@ D_i says of its task, where one small step of the whole network hardly moves: it
 that tell actions apart most of all.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,7 @@ from upslope.learners.policies import AbstractPolicy
 from upslope.meta_training.posteriors.posterior import AbstractPosterior, Explorer, repeat_tasks, spaced
 from upslope.networks.dueling import DuelingQ
 from upslope.tasks.family import AbstractFamily
-from upslope.types import Action, Key, Metrics, Policy, Scalar, Task, Transition
+from upslope.types import Action, Key, Keys, Metrics, Policy, Scalar, Task, Transition
 
 QTable = Float[Array, "states actions"]
 
@@ -68,9 +69,15 @@ class TablePolicy(eqx.Module):
     explorer: AbstractPolicy
 
     def __call__(self, key: Key, obs: Float[Array, "n *obs"]) -> Action:
-        count = obs.shape[0]
-        best = self.best[jnp.arange(count), jax.vmap(self.states.state_number)(obs)]
-        return self.explorer.choose(self.explorer.noise(key, count), best, jnp)
+        return self._act(self.explorer.noise(key, len(obs)), obs)
+
+    def ahead(self, keys: Keys, obs: Float[Array, "n *obs"]) -> tuple[Any, Callable[..., Action]]:
+        """Draws the noise of all steps now, as the policies of networks do (`AbstractPolicy.ahead`)."""
+        return self.explorer.noises(keys, len(obs)), self._act
+
+    def _act(self, noise: Any, obs: Float[Array, "n *obs"]) -> Action:
+        best = self.best[jnp.arange(len(obs)), jax.vmap(self.states.state_number)(obs)]
+        return self.explorer.choose(noise, best, jnp)
 
 
 @dataclass(frozen=True)
