@@ -10,21 +10,14 @@ from upslope.learners.curve import LearningCurve
 from upslope.priors.prior import Prior
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class TrainingResult:
-    """What `upslope.train` returns.
+class _OnACurve:
+    """The parts of a result's learning curve."""
 
-    Attributes:
-        agent: the trained agent.
-        curve: its learning curve.
-    """
-
-    agent: Agent
     curve: LearningCurve
 
     @property
     def updates(self) -> Int[np.ndarray, "reports"]:
-        """Gradient updates before each report."""
+        """Updates before each report: gradient updates of `train`, pairs of Eqs. 8 and 9 of `adapt`."""
         return self.curve.updates
 
     @property
@@ -37,12 +30,25 @@ class TrainingResult:
         """Means of the learner's own measurements since the report before ``[reports]``, by name."""
         return self.curve.metrics
 
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TrainingResult(_OnACurve):
+    """What `upslope.train` returns.
+
+    Attributes:
+        agent: the trained agent.
+        curve: its learning curve.
+    """
+
+    agent: Agent
+    curve: LearningCurve
+
     def __repr__(self) -> str:
         return f"TrainingResult({self.curve.summary()},\n  {self.agent!r})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AdaptationResult:
+class AdaptationResult(_OnACurve):
     """What `upslope.adapt` returns.
 
     Attributes:
@@ -57,21 +63,6 @@ class AdaptationResult:
     def agent(self) -> Prior:
         """The posterior, which acts by its advantage head."""
         return self.posterior
-
-    @property
-    def updates(self) -> Int[np.ndarray, "reports"]:
-        """Pairs of Eqs. 8 and 9 before each report."""
-        return self.curve.updates
-
-    @property
-    def returns(self) -> Float[np.ndarray, "reports"]:
-        """The raw greedy return at each report, without the shaping reward."""
-        return self.curve.returns
-
-    @property
-    def metrics(self) -> dict[str, np.ndarray]:
-        """Means of the learner's own measurements since the report before ``[reports]``, by name."""
-        return self.curve.metrics
 
     def __repr__(self) -> str:
         return f"AdaptationResult({self.curve.summary()},\n  posterior={self.posterior!r})"

@@ -6,16 +6,15 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from upslope.equations.maml import adapt
-from upslope.meta_training.posteriors.finite import AbstractFinitePosterior, FiniteSamples, QTable, mean_td_loss
+from upslope.meta_training.posteriors.adapted import AbstractAdaptedPosterior
+from upslope.meta_training.posteriors.finite import FiniteSamples, QTable
 from upslope.meta_training.posteriors.posterior import Name
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.torso import AbstractTorso
-from upslope.types import Keys
 
 
 @dataclass(frozen=True)
-class HeadsPosterior(AbstractFinitePosterior):
+class HeadsPosterior(AbstractAdaptedPosterior):
     """The torso stays θ's; V head and A head are the task's.
 
     Attributes:
@@ -29,15 +28,9 @@ class HeadsPosterior(AbstractFinitePosterior):
 
     name: Name = field(default="heads", init=False)
 
-    normalised_steps: bool = False
-
     def in_sequence(self, torso: type[AbstractTorso]) -> bool:
         del torso
         return False  # all tasks share the convolutions
-
-    def draw(self, keys: Keys, replays: FiniteSamples, target: DuelingQ) -> FiniteSamples:
-        del keys, target
-        return replays
 
     def adapt(self, theta: DuelingQ, samples: FiniteSamples) -> QTable:
         """Q_φ of a task in every state."""
@@ -48,21 +41,4 @@ class HeadsPosterior(AbstractFinitePosterior):
             network = eqx.tree_at(lambda network: (network.value_head, network.advantage_head), theta, heads)
             return heads[1].each_q(*jax.vmap(network.heads_on)(features))
 
-        def loss(heads: tuple[Any, Any], samples: FiniteSamples) -> Any:
-            return mean_td_loss(q(heads), samples.steps)
-
-        heads = (theta.value_head, theta.advantage_head)
-        return q(
-            adapt(
-                loss,
-                heads,
-                samples,
-                step_size=self.inner_step_size,
-                steps=self.inner_steps,
-                normalised=self.normalised_steps,
-            )
-        )
-
-    def next_target(self, theta: DuelingQ, target: DuelingQ) -> DuelingQ:
-        del target
-        return theta
+        return self.adapted(q, (theta.value_head, theta.advantage_head), samples)

@@ -1,20 +1,18 @@
 """φ_i is the whole network, adapted to all of D_i."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import jax
 
-from upslope.equations.maml import adapt
-from upslope.meta_training.posteriors.finite import AbstractFinitePosterior, FiniteSamples, QTable, mean_td_loss
+from upslope.meta_training.posteriors.adapted import AbstractAdaptedPosterior
+from upslope.meta_training.posteriors.finite import FiniteSamples, QTable
 from upslope.meta_training.posteriors.posterior import Name
 from upslope.networks.dueling import DuelingQ
 from upslope.networks.torso import AbstractTorso
-from upslope.types import Keys
 
 
 @dataclass(frozen=True)
-class WeightsPosterior(AbstractFinitePosterior):
+class WeightsPosterior(AbstractAdaptedPosterior):
     """All weights are the task's.
 
     Attributes:
@@ -28,14 +26,8 @@ class WeightsPosterior(AbstractFinitePosterior):
 
     name: Name = field(default="weights", init=False)
 
-    normalised_steps: bool = False
-
     def in_sequence(self, torso: type[AbstractTorso]) -> bool:
         return torso.takes_turns
-
-    def draw(self, keys: Keys, replays: FiniteSamples, target: DuelingQ) -> FiniteSamples:
-        del keys, target
-        return replays
 
     def adapt(self, theta: DuelingQ, samples: FiniteSamples) -> QTable:
         """Q_φ of a task in every state."""
@@ -43,20 +35,4 @@ class WeightsPosterior(AbstractFinitePosterior):
         def q(network: DuelingQ) -> QTable:
             return jax.vmap(network)(samples.observations)
 
-        def loss(network: DuelingQ, samples: FiniteSamples) -> Any:
-            return mean_td_loss(q(network), samples.steps)
-
-        return q(
-            adapt(
-                loss,
-                jax.lax.stop_gradient(theta),
-                samples,
-                step_size=self.inner_step_size,
-                steps=self.inner_steps,
-                normalised=self.normalised_steps,
-            )
-        )
-
-    def next_target(self, theta: DuelingQ, target: DuelingQ) -> DuelingQ:
-        del target
-        return theta
+        return self.adapted(q, jax.lax.stop_gradient(theta), samples)
