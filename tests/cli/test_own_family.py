@@ -37,13 +37,15 @@ def call(monkeypatch, *arguments):
 
 @pytest.mark.slow
 def test_all_verbs(folder, monkeypatch, capsys):
-    small = ["--iterations", "2", "--tasks", "2", "--steps-per-task", "8", "--batch-size", "4", "--hidden", "4"]
+    small = ["--iterations", "2", "--tasks", "2", "--steps-per-task", "8", "--drawn-steps", "4", "--hidden", "4"]
     call(monkeypatch, "meta-train", "my_tasks:family", *small, "--evaluation-tasks", "1", "--out", "a")
     prior = Prior.load("a/prior.safetensors")
     assert (prior.trained_on.family, prior.gamma) == ("my poles", 0.95)
     file, family = "a/prior.safetensors", ["--family", "my_tasks:made"]
     call(monkeypatch, "train", "dqn", *family, "--prior", file, "--updates", "2", "--hidden", "4", "--out", "b")
     call(monkeypatch, "adapt", file, *family, "--updates", "1", "--steps-per-update", "8", "--out", "c")
+    call(monkeypatch, "evaluate", file, "my_tasks:made", "--tasks", "2", "--learners", "0", "--out", "d")
+    assert Prior.load("d/prior.safetensors").trained_on.settings["verdict"].startswith(("Of doubtful use", "Flat"))
     assert Agent.load("b/agent.safetensors").trained_on.family == "my poles"
     assert Prior.load("c/posterior.safetensors").gamma == 0.95
     assert "dqn on my poles task 0" in " ".join(capsys.readouterr().out.split())
