@@ -60,3 +60,10 @@ def test_a_file_brings_it_back(obs, tmp_path):
 
 def test_an_untouched_network_has_none():
     assert DuelingQ(jax.random.key(0), 4, 3).scaling is None
+
+
+def test_a_file_of_a_network_without_factors_has_one_for_each_input(tmp_path):
+    network = DuelingQ(jax.random.key(0), 4, 2, (8,))
+    prior = Prior(network, trained_on(cartpoles(), network, 0, {}))
+    prior.save(tmp_path / "prior.safetensors")
+    assert Prior.load(tmp_path / "prior.safetensors").trained_on.observation_scale == (1.0,) * 4

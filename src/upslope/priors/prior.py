@@ -148,7 +148,7 @@ def trained_on(family: AbstractFamily, network: DuelingQ, seed: int, settings: d
         family=family.name,
         gamma=family.gamma,
         observation_shape=family.observation_shape,
-        observation_scale=network.torso.scale,
+        observation_scale=tuple(np.broadcast_to(network.torso.scale, family.observation_shape[-1:]).tolist()),
         scaled=network.scaling is not None,
         actions=family.actions.count,
         hidden=network.torso.hidden,
